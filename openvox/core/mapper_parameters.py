@@ -1,0 +1,197 @@
+"""All parameters of the mapper, and the presets as named sets of them.
+
+`paper` is the plain method of the OpenVox paper; `openvox` adds rules, each with a switch of its own. With every
+switch off, `openvox` is `paper`, digest and all (a test holds this).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from openvox.core.errors import InputError
+from openvox.core.parameters import parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapParameters:
+    voxel_size: float = parameter(0.04, "m", 0.002, 1.0, why="edge of a voxel; the paper's 4 cm")
+    max_depth: float = parameter(6.0, "m", 0.1, 65.0, why="depth beyond it is ignored: noise grows with its square")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaskParameters:
+    min_pixels: int = parameter(60, "px", 0, 1_000_000, why="smaller masks are skipped: mostly fragments of noise")
+    one_vote: bool = parameter(
+        True, "", why="the smaller mask wins a pixel, and a voxel takes one label a frame: doubles must not vote twice"
+    )
+    erosion: int = parameter(
+        1,
+        "px",
+        0,
+        20,
+        needs="masks.one_vote",
+        why="pixels this near to another label vote for nothing: rims are unsure",
+    )
+    step_margin: int = parameter(
+        2, "px", 0, 20, needs="masks.one_vote", why="pixels this near to a depth step (60 mm + 2 %) vote for nothing"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssociationParameters:
+    threshold: float = parameter(
+        0.4,
+        "probability",
+        0.0,
+        1.0,
+        why="a mask joins its best instance if A exceeds it; authors' code, the paper gives none",
+    )
+    weight_geometry: float = parameter(0.8, "share", 0.0, 1.0, why="of S_geo in A; authors' code")
+    weight_feature: float = parameter(0.2, "share", 0.0, 1.0, why="of S_fea in A; authors' code")
+    containment: bool = parameter(
+        True, "", why="a mask holds what lies in it and what it lies in; S_geo alone falls with every newly seen voxel"
+    )
+    hidden_evidence: int = parameter(
+        4,
+        "factor",
+        1,
+        16,
+        needs="evolution.background",
+        why="for association a voxel keeps its id while factor x count > background; 1 = as in the output",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvolutionParameters:
+    background: bool = parameter(
+        True, "", why="a voxel seen under no mask votes for background; without it spill can never be undone"
+    )
+    halving: int = parameter(
+        100,
+        "votes",
+        0,
+        1_000_000,
+        needs="evolution.background",
+        why="above so many votes a voxel halves its counts; 0 = never",
+    )
+    voxel_votes: bool = parameter(
+        True, "", needs="association.containment", why="a voxel votes for its own fragment if the mask holds it"
+    )
+    abstention: bool = parameter(
+        True,
+        "",
+        needs="lifecycle.evidence",
+        why="where a mask holds fragments that the evidence keeps apart, undecided voxels do not vote: no welding",
+    )
+    cut: bool = parameter(
+        True, "", needs="lifecycle.evidence", why="a fragment under two masks is cut: a weld is undone in the map"
+    )
+    cut_share: float = parameter(
+        0.03,
+        "share",
+        0.0,
+        1.0,
+        needs="evolution.cut",
+        why="least share of the fragment's masked voxels on either side of a cut",
+    )
+    cut_inheritance: float = parameter(
+        4.0,
+        "factor",
+        0.0,
+        100.0,
+        needs="evolution.cut",
+        why="togetherness of the two sides, times the mean moved votes",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LifecycleParameters:
+    evidence: bool = parameter(
+        True,
+        "",
+        needs="association.containment",
+        why="fragments seen together and apart are counted, and clustered into instances by the counts",
+    )
+    contradiction: float = parameter(
+        1.0, "factor", 0.0, 100.0, needs="lifecycle.evidence", why="weight of apart against together"
+    )
+    nested: float = parameter(
+        0.7,
+        "share",
+        0.0,
+        1.0,
+        needs="lifecycle.evidence",
+        why="masks nested to this share contradict each other half as much",
+    )
+    captions: bool = parameter(True, "", needs="lifecycle.evidence", why="unlike captions weaken togetherness")
+    kinds: bool = parameter(
+        True,
+        "",
+        needs="lifecycle.evidence",
+        why="two nameless regions do not contradict each other, support-split pieces do so twice; a detector's mask joins threefold where the frame has regions too",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishParameters:
+    smoothing: int = parameter(
+        3,
+        "weight",
+        0,
+        100,
+        why="a voxel decides on weight x its own counts + those of its six neighbours; 0 = on its own alone",
+    )
+    existence: bool = parameter(True, "", why="objects that too few frames matched are dropped")
+    min_frames: int = parameter(
+        2, "frames", 0, 1000, needs="finish.existence", why="matched frames an object must have"
+    )
+    min_share: float = parameter(
+        0.15,
+        "share",
+        0.0,
+        1.0,
+        needs="finish.existence",
+        why="of the frames that saw it, an object must be matched in so many",
+    )
+    min_voxels: int = parameter(10, "voxels", 0, 1_000_000, needs="finish.existence", why="smaller objects are dropped")
+    min_part: float = parameter(
+        0.05,
+        "share",
+        0.0,
+        1.0,
+        needs="finish.existence",
+        why="loose parts below this share of their object are dropped",
+    )
+    min_confidence: float = parameter(
+        0.12, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapperParameters:
+    """Everything the mapper can be told, in groups."""
+
+    map: MapParameters = field(default_factory=MapParameters)
+    masks: MaskParameters = field(default_factory=MaskParameters)
+    association: AssociationParameters = field(default_factory=AssociationParameters)
+    evolution: EvolutionParameters = field(default_factory=EvolutionParameters)
+    lifecycle: LifecycleParameters = field(default_factory=LifecycleParameters)
+    finish: FinishParameters = field(default_factory=FinishParameters)
+
+
+OPENVOX = MapperParameters()
+PAPER = MapperParameters(
+    masks=replace(OPENVOX.masks, min_pixels=0, one_vote=False),
+    association=replace(OPENVOX.association, containment=False),
+    evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, cut=False),
+    lifecycle=replace(OPENVOX.lifecycle, evidence=False),
+    finish=replace(OPENVOX.finish, smoothing=0, existence=False),
+)
+PRESETS = {"openvox": OPENVOX, "paper": PAPER}
+
+
+def preset(name: str) -> MapperParameters:
+    """The preset of that name. Raises InputError."""
+    if name not in PRESETS:
+        raise InputError(f"there is no preset {name!r}; known: {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,0 +1,173 @@
+"""Parameters: each stands once, as a field of a frozen dataclass, with unit, range, default and reason.
+
+A *group* is a frozen dataclass whose fields are made by `parameter`. A *set* is a frozen dataclass whose fields are
+groups. Names are dotted: `association.threshold`. Precedence: preset < file < --set.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from openvox.core.errors import InputError
+
+Value = bool | int | float | str
+Set = TypeVar("Set")
+
+
+def parameter(
+    default: Value,
+    unit: str,
+    low: float | None = None,
+    high: float | None = None,
+    *,
+    why: str,
+    choices: tuple[str, ...] = (),
+    needs: str = "",
+) -> Any:
+    """A field of a group. `needs`: dotted name of the switch without which this parameter has no effect."""
+    return dataclasses.field(
+        default=default,
+        metadata={"unit": unit, "low": low, "high": high, "why": why, "choices": choices, "needs": needs},
+    )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Description:
+    """One row of `openvox info --parameters`."""
+
+    name: str
+    default: Value
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    needs: str
+    why: str
+
+    @property
+    def range(self) -> str:
+        if self.choices:
+            return " | ".join(self.choices)
+        if isinstance(self.default, bool):
+            return "true | false"
+        return f"{self.low:g} .. {self.high:g}" if self.low is not None and self.high is not None else ""
+
+
+def describe(parameters: Any) -> list[Description]:
+    """All parameters of a set, in order of definition; the defaults are those of the groups, whatever the set holds."""
+    return [
+        Description(name=f"{group.name}.{field.name}", default=field.default, **field.metadata)
+        for group in dataclasses.fields(parameters)
+        for field in dataclasses.fields(getattr(parameters, group.name))
+    ]
+
+
+def as_dict(parameters: Any) -> dict[str, Value]:
+    """Dotted name to value, in order of definition."""
+    return {
+        f"{group.name}.{field.name}": getattr(getattr(parameters, group.name), field.name)
+        for group in dataclasses.fields(parameters)
+        for field in dataclasses.fields(getattr(parameters, group.name))
+    }
+
+
+def updated(parameters: Set, changes: Mapping[str, Value], *, source: str, used_only: bool = True) -> Set:
+    """A copy of the set with some values replaced, each checked.
+
+    changes: dotted name to value; text is read as the parameter's type. source: named in errors (a file, "--set").
+    used_only: refuse a parameter that is switched off in the result. Raises InputError.
+    """
+    described = {row.name: row for row in describe(parameters)}
+    values = as_dict(parameters)
+    for name, raw in changes.items():
+        if name not in described:
+            near = difflib.get_close_matches(name, described, n=1, cutoff=0.4)
+            hint = f"; did you mean {near[0]}?" if near else "; openvox info --parameters lists all"
+            raise InputError(f"{source}: there is no parameter {name!r}{hint}")
+        values[name] = _checked(described[name], raw, source)
+    if used_only:
+        for name in changes:
+            needs = described[name].needs
+            if needs and not values[needs]:
+                raise InputError(
+                    f"{source}: {name} has no effect here, because {needs} is off; set {needs}=true as well, or leave it out"
+                )
+    groups = {}
+    for group in dataclasses.fields(parameters):  # type: ignore[arg-type]
+        old = getattr(parameters, group.name)
+        groups[group.name] = dataclasses.replace(
+            old, **{field.name: values[f"{group.name}.{field.name}"] for field in dataclasses.fields(old)}
+        )
+    return dataclasses.replace(parameters, **groups)  # type: ignore[type-var]
+
+
+def _checked(row: Description, raw: Value, source: str) -> Value:
+    value = _parsed(row, raw, source)
+    if row.choices and value not in row.choices:
+        raise InputError(f"{source}: {row.name} is {value!r}; expected one of {', '.join(row.choices)}")
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if not math.isfinite(value) or (
+            row.low is not None and row.high is not None and not row.low <= value <= row.high
+        ):
+            raise InputError(f"{source}: {row.name} is {value:g} {row.unit}; expected {row.range}")
+    return value
+
+
+def _parsed(row: Description, raw: Value, source: str) -> Value:
+    kind = type(row.default)
+    if kind is bool:
+        words = {"true": True, "false": False, "on": True, "off": False, "1": True, "0": False}
+        if isinstance(raw, bool):
+            return raw
+        if isinstance(raw, str) and raw.lower() in words:
+            return words[raw.lower()]
+    elif kind is str:
+        if isinstance(raw, str):
+            return raw
+    elif not isinstance(raw, bool):
+        try:
+            number = float(raw)
+        except ValueError:
+            number = math.nan
+        if not math.isnan(number) and (kind is float or number == int(number)):
+            return kind(number)
+    expected = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}[kind]
+    raise InputError(f"{source}: {row.name} is {raw!r}; expected {expected}")
+
+
+def from_toml(path: Path) -> dict[str, Value]:
+    """Dotted names and values of a TOML file with one table a group. Raises InputError."""
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; --params wants a TOML file with one table a group") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as TOML ({error})") from None
+    flat: dict[str, Value] = {}
+    for group, table in tables.items():
+        if not isinstance(table, dict):
+            raise InputError(f"{path}: {group!r} stands outside a table; expected [group] and then key = value")
+        for key, value in table.items():
+            if not isinstance(value, (bool, int, float, str)):
+                raise InputError(f"{path}: {group}.{key} is {value!r}; expected a number, a text, true or false")
+            flat[f"{group}.{key}"] = value
+    return flat
+
+
+def from_assignments(assignments: Iterable[str], option: str = "--set") -> dict[str, Value]:
+    """`group.key=value` texts of the command line. Raises InputError."""
+    flat: dict[str, Value] = {}
+    for text in assignments:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip() or not value.strip():
+            raise InputError(f"{option} {text!r}: expected group.key=value, as in association.threshold=0.3")
+        if name.strip() in flat:
+            raise InputError(f"{option}: {name.strip()} is given twice; give it once")
+        flat[name.strip()] = value.strip()
+    return flat
