@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from openvox.core.types import Frame, Intrinsics, InstanceMap
+from openvox.core.types import Frame, InstanceMap, Intrinsics
 
 START = "0" * 64
 """The link before the first of a chain."""

@@ -52,6 +52,7 @@ class Description:
 
     @property
     def range(self) -> str:
+        """What the value may be, for people."""
         if self.choices:
             return " | ".join(self.choices)
         if isinstance(self.default, bool):
@@ -62,10 +63,15 @@ class Description:
 def describe(parameters: Any) -> list[Description]:
     """All parameters of a set, in order of definition; the defaults are those of the groups, whatever the set holds."""
     return [
-        Description(name=f"{group.name}.{field.name}", default=field.default, **field.metadata)
+        Description(name=f"{group.name}.{field.name}", default=_default(field), **field.metadata)
         for group in dataclasses.fields(parameters)
         for field in dataclasses.fields(getattr(parameters, group.name))
     ]
+
+
+def _default(field: dataclasses.Field[Any]) -> Value:
+    value: Value = field.default
+    return value
 
 
 def as_dict(parameters: Any) -> dict[str, Value]:
@@ -96,7 +102,8 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str, used_
             needs = described[name].needs
             if needs and not values[needs]:
                 raise InputError(
-                    f"{source}: {name} has no effect here, because {needs} is off; set {needs}=true as well, or leave it out"
+                    f"{source}: {name} has no effect here, because {needs} is off; "
+                    f"set {needs}=true as well, or leave it out"
                 )
     groups = {}
     for group in dataclasses.fields(parameters):  # type: ignore[arg-type]
@@ -112,9 +119,9 @@ def _checked(row: Description, raw: Value, source: str) -> Value:
     if row.choices and value not in row.choices:
         raise InputError(f"{source}: {row.name} is {value!r}; expected one of {', '.join(row.choices)}")
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        if not math.isfinite(value) or (
-            row.low is not None and row.high is not None and not row.low <= value <= row.high
-        ):
+        low = -math.inf if row.low is None else row.low
+        high = math.inf if row.high is None else row.high
+        if not (math.isfinite(value) and low <= value <= high):
             raise InputError(f"{source}: {row.name} is {value:g} {row.unit}; expected {row.range}")
     return value
 

@@ -73,6 +73,7 @@ class Pose:
 
     @classmethod
     def identity(cls) -> Self:
+        """No rotation, no translation."""
         return cls((0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
     @classmethod
@@ -216,7 +217,8 @@ class Mask:
         expected = ((x1 - x0) * (y1 - y0) + 7) // 8
         if self.bits.dtype != np.uint8 or self.bits.shape != (expected,):
             raise InputError(
-                f"mask bits are {self.bits.dtype} of shape {self.bits.shape}; expected {expected} bytes for box {self.box}"
+                f"mask bits are {self.bits.dtype} of shape {self.bits.shape}; "
+                f"expected {expected} bytes for box {self.box}"
             )
         if self.kind not in MASK_KINDS:
             raise InputError(f"mask kind is {self.kind!r}; expected one of {', '.join(MASK_KINDS)}")

@@ -1,0 +1,1 @@
+"""Files: reading beside writing, one file a format."""

@@ -1,0 +1,1 @@
+"""The probabilistic mapper: associate, then evolve. It knows neither files, nor viewers, nor the clock."""

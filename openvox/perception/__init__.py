@@ -1,0 +1,1 @@
+"""Enc(SegCap(Det(C))): stages from images to masks, captions, embeddings, each run once and cached."""

@@ -1,0 +1,1 @@
+"""Pictures: Rerun, and images drawn without a screen."""

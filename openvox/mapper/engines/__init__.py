@@ -1,0 +1,1 @@
+"""The mapper's kernels, once for each kind of machine."""
