@@ -70,8 +70,8 @@ def describe(parameters: Any) -> list[Description]:
 
 
 def _default(field: dataclasses.Field[Any]) -> Value:
-    value: Value = field.default
-    return value
+    assert isinstance(field.default, (bool, int, float, str)), field.name
+    return field.default
 
 
 def as_dict(parameters: Any) -> dict[str, Value]:
