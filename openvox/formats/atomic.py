@@ -1,0 +1,43 @@
+"""Files that appear complete or not at all: written to NAME.partial, renamed when done."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from openvox.core.errors import OutputError
+
+
+@contextmanager
+def partial_file(path: Path) -> Iterator[Path]:
+    """Yields NAME.partial to be written; it becomes `path`, replacing an older file, when the block ends well.
+
+    On any exception the partial file is removed and what stood at `path` is left as it was. An OSError of the block is
+    taken for one of writing: the block turns errors of its inputs into InputError itself. Raises OutputError.
+    """
+    partial = path.with_name(path.name + ".partial")
+    try:
+        if path.is_dir():
+            raise OutputError(f"{path} is a folder; name a file to write")
+        yield partial
+        with partial.open("rb+") as file:
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except BaseException as error:
+        _remove(partial)
+        if isinstance(error, OSError):
+            raise OutputError(
+                f"{path} could not be written ({error.strerror or error}); nothing was left there, an older file "
+                "of that name is untouched: check the folder, its permissions and the space on the disk"
+            ) from error
+        raise
+
+
+def _remove(partial: Path) -> None:
+    """Away with an unfinished file, if it can be done; the reason that brought us here matters more."""
+    try:
+        partial.unlink(missing_ok=True)
+    except OSError:
+        return
