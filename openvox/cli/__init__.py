@@ -1,1 +1,47 @@
-"""The command line: it parses, calls one function, prints."""
+"""The command line: it parses, calls one function, prints. The only place that turns errors into sentences."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from typing import NoReturn
+
+from openvox.core.errors import OpenvoxError
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run one command and exit: 0 done, 1 a sentence on stderr, 2 wrong usage, 130 interrupted.
+
+    `--debug` may stand anywhere among the arguments and lets the traceback of an error through.
+    """
+    from openvox.cli.commands import app
+
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        app([word for word in words if word != "--debug"], prog_name="openvox")
+    except SystemExit as end:
+        _flush()
+        sys.exit(end.code)
+    except Exception as error:
+        if "--debug" in words:
+            raise
+        print(f"openvox: {_sentence(error)}", file=sys.stderr)
+        sys.exit(1)
+    sys.exit(0)
+
+
+def _flush() -> None:
+    """Empty stdout now: a reader that has gone (`openvox info x | head -1`) is no error of ours."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _sentence(error: Exception) -> str:
+    if isinstance(error, OpenvoxError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename or 'the system'}: {error.strerror}"
+    return f"a fault of openvox itself ({type(error).__name__}: {error}); please report it with what --debug shows"

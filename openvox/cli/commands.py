@@ -1,0 +1,243 @@
+"""The commands, one function each: options, one call, print. What a command does stands in the app of its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from openvox import __version__
+from openvox.cli import options, tables
+from openvox.cli.progress import progress
+
+app = typer.Typer(
+    rich_markup_mode=None,  # plain help: quick, and the same text in docs/commands.md
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"max_content_width": 100},
+    epilog="--debug, anywhere: the traceback of an error.\n\n"
+    "Exit codes: 0 done; 1 a sentence about the input; 2 wrong usage; 3 done, but something was found or lost.",
+)
+
+
+def _example(*lines: str) -> str:
+    return "\b\nExample:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"openvox {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    """Turn a robot's RGB-D log into an instance map that you can ask in words, and see why each mask went where."""
+
+
+@app.command(
+    epilog=_example(
+        "openvox ingest scans/living living.mcap",
+        "openvox ingest scans/office office.mcap --format replica --end 200 --stride 2",
+    )
+)
+def ingest(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A folder of exported RGB-D frames.")],
+    recording: Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording to write.")],
+    layout: Annotated[
+        Literal["auto", "scannet", "replica"], typer.Option("--format", help="Layout of the folder; auto looks.")
+    ] = "auto",
+    fps: Annotated[float, typer.Option(min=0.001, metavar="N", help="Frame rate where there are no stamps.")] = 30.0,
+    origin: Annotated[
+        str, typer.Option(metavar="X,Y,Z", help="Whole metres to subtract from every pose (far coordinates, as UTM).")
+    ] = "0,0,0",
+    start: options.Start = None,
+    end: options.End = None,
+    stride: options.Stride = 1,
+    json: options.Json = False,
+) -> None:
+    """Make a recording: colour, depth, poses, intrinsics, and the ground truth where there is one."""
+    shift = options.origin(origin)
+    from openvox.apps import ingest as application
+
+    result = application.ingest(
+        source,
+        recording,
+        format=layout,
+        fps=fps,
+        origin=shift,
+        start=start,
+        end=end,
+        stride=stride,
+        progress=progress("reading"),
+    )
+    tables.show(result, json, tables.pairs, "openvox", "perceive", recording)
+
+
+@app.command(
+    epilog=_example(
+        "openvox perceive living.mcap",
+        "openvox perceive living.mcap --detections my_detector.jsonl --out living.mine.perception.mcap",
+    )
+)
+def perceive(
+    recording: options.Recording,
+    frontend: Annotated[
+        Literal["geometry", "oracle"],
+        typer.Option(help="geometry: regions from depth, no model; oracle: the recording's own ground truth."),
+    ] = "geometry",
+    detections: Annotated[
+        Path | None, typer.Option(metavar="FILE.jsonl", help="Masks and captions of a front end of your own.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
+    assignments: options.Assignments = None,
+    start: options.Start = None,
+    end: options.End = None,
+    stride: options.Stride = 1,
+    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Worker processes; the result is the same.")] = 1,
+    json: options.Json = False,
+) -> None:
+    """Find masks, captions and embeddings in every frame, once; what is there already is not done again."""
+    from openvox.apps import perceive as application
+
+    result = application.perceive(
+        recording,
+        frontend=frontend,
+        detections=detections,
+        out=out,
+        assignments=assignments or [],
+        start=start,
+        end=end,
+        stride=stride,
+        jobs=jobs,
+        progress=progress("perceiving"),
+    )
+    tables.show(result, json, tables.pairs, "openvox", "replay", recording)
+
+
+@app.command(
+    epilog=_example(
+        "openvox replay living.mcap --rerun living.rrd",
+        "openvox replay living.mcap --set map.voxel_size=0.05 --out coarse",
+    )
+)
+def replay(
+    recording: options.Recording,
+    perception: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
+    preset: Annotated[
+        Literal["openvox", "paper"], typer.Option(help="openvox: with the added rules; paper: the plain method.")
+    ] = "openvox",
+    params: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
+    ] = None,
+    assignments: options.Assignments = None,
+    engine: Annotated[Literal["cpu"], typer.Option(help="What computes; every engine gives the same bytes.")] = "cpu",
+    out: Annotated[
+        str | None, typer.Option(metavar="STEM", help="Write STEM.map.npz and STEM.trace.mcap instead.")
+    ] = None,
+    rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
+    start: options.Start = None,
+    end: options.End = None,
+    stride: options.Stride = 1,
+    json: options.Json = False,
+) -> None:
+    """Build the instance map and the trace of every decision; the same input gives the same bytes."""
+    from openvox.apps import replay as application
+
+    result = application.replay(
+        recording,
+        perception=perception,
+        preset=preset,
+        params=params,
+        assignments=assignments or [],
+        engine=engine,
+        out=out,
+        rerun=rerun,
+        start=start,
+        end=end,
+        stride=stride,
+        progress=progress("mapping"),
+    )
+    tables.show(result, json, tables.replay, "openvox", "query", result["outputs"]["map"], "somewhere to sit")
+
+
+@app.command(epilog=_example('openvox query living.map.npz "somewhere to sit" "something to drink from" --top 3'))
+def query(
+    map_file: options.MapFile,
+    text: Annotated[list[str], typer.Argument(metavar="TEXT...", help="What you look for, in words.")],
+    top: Annotated[int, typer.Option(min=1, metavar="K", help="Answers a text.")] = 3,
+    json: options.Json = False,
+) -> None:
+    """Ask the map in words: which instances fit best, and where they are."""
+    from openvox.apps import query as application
+
+    tables.show(
+        application.query(map_file, text, top=top), json, tables.query, "openvox", "export", map_file, "map.ply"
+    )
+
+
+@app.command(
+    epilog=_example(
+        "openvox evaluate living.map.npz --truth scans/living", "openvox evaluate living.map.npz --truth living.mcap"
+    )
+)
+def evaluate(
+    map_file: options.MapFile,
+    truth: Annotated[Path, typer.Option(metavar="DIR|REC", help="Folder with gt_points.npz, or a recording.")],
+    queries: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of the truth's queries.json.")] = None,
+    classes: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="One name a line, in place of the truth's categories.")
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Score the map against ground truth: instances, voxel confidence, rendered masks, semantics, retrieval."""
+    from openvox.apps import evaluate as application
+
+    result = application.evaluate(map_file, truth=truth, queries=queries, classes=classes)
+    tables.show(result, json, tables.evaluate, "openvox", "query", map_file, "somewhere to sit")
+
+
+@app.command(epilog=_example("openvox explain living.trace.mcap --frame 40"))
+def explain(
+    trace: Annotated[Path, typer.Argument(metavar="TRACE", help="A trace made by replay, STEM.trace.mcap.")],
+    frame: Annotated[int, typer.Option(min=0, metavar="N", help="The frame whose decisions to show.")],
+    json: options.Json = False,
+) -> None:
+    """Show why each mask of a frame went where it went: every candidate with its scores, and the rule."""
+    from openvox.apps import explain as application
+
+    tables.show(application.explain_frame(trace, frame), json, tables.explain)
+
+
+@app.command(epilog=_example("openvox export living.map.npz living.ply", "openvox export living.map.npz living.csv"))
+def export(
+    map_file: options.MapFile,
+    out: Annotated[Path, typer.Argument(metavar="OUT.{ply,csv}", help="ply: coloured points; csv: a row an instance.")],
+    json: options.Json = False,
+) -> None:
+    """Write the map for other programs; the ending says how."""
+    from openvox.apps import export as application
+
+    tables.show(application.export(map_file, out), json, tables.pairs)
+
+
+@app.command(epilog=_example("openvox info living.mcap", "openvox info --parameters"))
+def info(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="A recording, perception, map or trace.")] = None,
+    parameters: Annotated[
+        bool, typer.Option("--parameters", help="All parameters with unit, range, default and reason.")
+    ] = False,
+    json: options.Json = False,
+) -> None:
+    """Say what a file holds and what it was made from."""
+    if (file is None) != parameters:
+        raise typer.BadParameter("expected a FILE or --parameters, one of the two")
+    from openvox.apps import info as application
+
+    if file is None:
+        tables.show(application.parameters(), json, tables.parameters)
+    else:
+        tables.show(application.info(file), json, tables.pairs)

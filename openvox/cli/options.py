@@ -1,0 +1,30 @@
+"""Options that several commands share, written once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout; everything else goes to stderr.")]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="K=V", help="A parameter, as association.threshold=0.3; may be repeated."),
+]
+Start = Annotated[int | None, typer.Option("--start", min=0, metavar="N", help="First frame number.")]
+End = Annotated[int | None, typer.Option("--end", min=0, metavar="N", help="Frame number to stop before.")]
+Stride = Annotated[
+    int, typer.Option("--stride", min=1, metavar="N", help="Every Nth frame: (frame - start) mod N = 0.")
+]
+Recording = Annotated[Path, typer.Argument(metavar="REC.mcap", help="A recording made by ingest.")]
+MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map made by replay, STEM.map.npz.")]
+
+
+def origin(text: str) -> tuple[int, int, int]:
+    """X,Y,Z in whole metres, for `ingest --origin`. Raises typer.BadParameter (exit 2)."""
+    try:
+        x, y, z = (int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}: expected X,Y,Z in whole metres, as in 455200,5411900,0") from None
+    return x, y, z

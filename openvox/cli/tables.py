@@ -1,0 +1,163 @@
+"""Results for people: tables on stdout. With --json the same result as one JSON object instead."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import shlex
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+Data = Mapping[str, Any]
+
+
+def show(result: Any, as_json: bool, table: Callable[[Data], None], *next_step: str | Path) -> None:
+    """Print a result: JSON, or the table and, word by word, the command that one would likely run next."""
+    data = plain(result)
+    if as_json:
+        print(json.dumps(data, allow_nan=False))
+        return
+    table(data)
+    if next_step:
+        print(f"next: {shlex.join(str(word) for word in next_step)}")
+
+
+def plain(value: Any) -> Any:
+    """What JSON knows: dataclasses and mappings as objects, paths as text, what is no finite number as null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], title: str = "") -> None:
+    """Numbers to the right, everything else to the left."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    cells = [list(row) for row in rows]
+    table = Table(title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, name in enumerate(columns):
+        numbers = [row[i] for row in cells if row[i] is not None]
+        right = bool(numbers) and all(isinstance(value, (int, float)) for value in numbers)
+        table.add_column(name, justify="right" if right else "left")
+    for row in cells:
+        table.add_row(*(Text(_cell(value)) for value in row))
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 140  # a file or a pipe has no edge to wrap at, 80 would cut captions
+    console.print(table)
+
+
+def _cell(value: Any) -> str:
+    """One value as text; control characters, which a caption from a file could hold, are shown as `?`."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_cell(item) for item in value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_cell(item)}" for key, item in value.items())
+    return "".join(letter if letter.isprintable() else "?" for letter in str(value))
+
+
+def pairs(data: Data) -> None:
+    """Name and value, one a line, nested objects indented."""
+    _print_pairs(data, "")
+
+
+def _print_pairs(data: Data, indent: str) -> None:
+    width = max((len(str(key)) for key in data), default=0)
+    for key, value in data.items():
+        if isinstance(value, Mapping) and any(isinstance(item, (Mapping, list)) for item in value.values()):
+            print(f"{indent}{key}")
+            _print_pairs(value, indent + "  ")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            _print_table(list(value[0]), [list(row.values()) for row in value], str(key))
+        else:
+            print(f"{indent}{str(key).replace('_', ' '):<{width}}  {_cell(value) or '-'}")
+
+
+def replay(data: Data) -> None:
+    """Speed, size, what decided, digests, files."""
+    print(
+        f"{data['frames']} frames in {data['seconds']:.2f} s ({data['frames_per_second']:.1f} a second), "
+        f"preset {data['preset']}, engine {data['engine']}"
+    )
+    print(f"{data['voxels']} voxels, {data['instances']} instances")
+    _print_table(
+        ["ms", "mean", "median", "p95"],
+        [[stage, *(figures[name] for name in ("mean", "median", "p95"))] for stage, figures in data["ms"].items()],
+    )
+    print("decisions  " + _cell(data["decisions"]))
+    for name, digest in data["digests"].items():
+        print(f"{name} digest {digest}")
+    for path in data["outputs"].values():
+        if path:
+            print(f"wrote {path}")
+
+
+def query(data: Data) -> None:
+    """The answers of each text, best first."""
+    for asked in data["queries"]:
+        if not asked["answers"]:
+            print(f"{asked['text']!r}: nothing found")
+            continue
+        _print_table(
+            ["instance", "caption", "score", "center (m)", "voxels"],
+            [
+                [a["instance"], a["caption"], a["score"], [f"{x:.2f}" for x in a["center"]], a["voxels"]]
+                for a in asked["answers"]
+            ],
+            repr(asked["text"]) + ("" if asked["found"] else " (nothing fits well)"),
+        )
+
+
+MEASURES = ("ap", "ap50", "ap25", "f50", "miou", "spill", "missed_share", "wrong_share")
+LABELLINGS = ("instances", "instances_in_voxel", "instances_authors_rule")
+
+
+def evaluate(data: Data) -> None:
+    """The scores, and by name the objects that were split, merged or missed."""
+    scored = [name for name in LABELLINGS if data.get(name)]
+    _print_table(["labels", *MEASURES], [[name, *(data[name].get(m) for m in MEASURES)] for name in scored])
+    counts = data.get("instances") or {}
+    print("  ".join(f"{name} {counts.get(name)}" for name in ("predicted", "true", "split", "merged", "missed")))
+    troubled = [o for o in data.get("objects") or [] if o["missed"] or o["merged_with"] or len(o["split_into"]) > 1]
+    if troubled:
+        _print_table(
+            ["id", "object", "best IoU", "split into", "merged with", "missed"],
+            [[o["id"], o["name"], o["best_iou"], o["split_into"], o["merged_with"], o["missed"]] for o in troubled],
+            "objects split, merged or missed",
+        )
+    for name in ("calibration", "rendered_masks", "semantics"):
+        print(f"{name.replace('_', ' ')}  {_cell(data.get(name))}")
+    for kind, found in (data.get("retrieval") or {}).items():
+        print(f"retrieval {kind}  {_cell(found)}")
+
+
+def explain(data: Data) -> None:
+    """The decisions of one frame, each with its candidates."""
+    pairs(data)
+
+
+def parameters(data: Data) -> None:
+    """Every parameter with unit, range, default and reason."""
+    _print_table(
+        ["parameter", "default", "unit", "range", "why"],
+        [[row["name"], str(row["default"]), row["unit"], row["range"], row["why"]] for row in data["parameters"]],
+    )

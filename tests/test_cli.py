@@ -1,0 +1,147 @@
+"""The command line: exit codes, one sentence for an error, nothing but JSON on stdout with --json."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from openvox import __version__
+from openvox.cli import main, options, progress, tables
+from openvox.core.errors import InputError
+
+
+def run(*words: str | Path) -> int:
+    """The exit code of a command run in this process."""
+    with pytest.raises(SystemExit) as end:
+        main([str(word) for word in words])
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["no-such-command"],
+        ["ingest", "only-a-source"],
+        ["ingest", "a", "b.mcap", "--format", "kinect"],
+        ["ingest", "a", "b.mcap", "--origin", "1,2"],
+        ["ingest", "a", "b.mcap", "--stride", "0"],
+        ["ingest", "a", "b.mcap", "--start", "-1"],
+        ["replay", "a.mcap", "--engine", "abacus"],
+        ["replay", "a.mcap", "--preset", "best"],
+        ["explain", "a.trace.mcap"],
+        ["info"],
+        ["info", "a.mcap", "--parameters"],
+        ["query", "a.map.npz"],
+    ],
+)
+def test_wrong_usage_exits_with_2_and_says_so_on_stderr(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Error:" in captured.err
+
+
+def test_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"openvox {__version__}\n"
+
+
+def test_an_input_error_is_one_sentence_and_exit_1(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fail_with(monkeypatch, InputError("living.mcap: no such file; make it with openvox ingest"))
+    assert run("anything") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == "openvox: living.mcap: no such file; make it with openvox ingest\n"
+
+
+def test_an_error_of_the_system_names_the_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fail_with(monkeypatch, PermissionError(13, "Permission denied", "/locked"))
+    assert run("anything") == 1
+    assert capsys.readouterr().err == "openvox: /locked: Permission denied\n"
+
+
+def test_a_fault_of_our_own_is_named_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    fail_with(monkeypatch, KeyError("surprise"))
+    assert run("anything") == 1
+    error = capsys.readouterr().err
+    assert "KeyError" in error
+    assert "--debug" in error
+    assert "Traceback" not in error
+
+
+@pytest.mark.parametrize("words", [["--debug", "anything"], ["anything", "--debug"]])
+def test_debug_lets_the_traceback_through(monkeypatch: pytest.MonkeyPatch, words: list[str]) -> None:
+    fail_with(monkeypatch, InputError("wrong"))
+    with pytest.raises(InputError, match="wrong"):
+        main(words)
+
+
+def fail_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def fail(words: list[str], prog_name: str) -> None:
+        assert "--debug" not in words
+        raise error
+
+    monkeypatch.setattr("openvox.cli.commands.app", fail)
+
+
+def test_a_reader_that_has_gone_is_no_error() -> None:
+    command = f"{sys.executable} -m openvox --help; echo $? >&2"
+    result = subprocess.run(
+        ["bash", "-c", f"({command}) | true"], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert result.stderr in ("0\n", "1\n")
+
+
+def test_results_become_plain_json() -> None:
+    value = {1: (Path("a/b"), float("nan"), float("inf"), 0.5, None), "flag": True}
+    assert json.dumps(tables.plain(value), allow_nan=False) == '{"1": ["a/b", null, null, 0.5, null], "flag": true}'
+
+
+def test_json_stands_alone_on_stdout_and_a_table_names_the_next_step(capsys: pytest.CaptureFixture[str]) -> None:
+    tables.show({"frames": 3}, True, tables.pairs, "openvox", "info", "my file")
+    assert json.loads(capsys.readouterr().out) == {"frames": 3}
+    tables.show({"frames": 3}, False, tables.pairs, "openvox", "info", Path("my file"))
+    assert capsys.readouterr().out == "frames  3\nnext: openvox info 'my file'\n"
+
+
+def test_a_caption_cannot_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    answer = {"instance": 1, "caption": "a \x1b[2Jchair [red]", "score": 0.5, "center": [0.0, 0.0, 0.0], "voxels": 7}
+    tables.query({"queries": [{"text": "seat", "found": True, "answers": [answer]}]})
+    out = capsys.readouterr().out
+    assert "a ?[2Jchair [red]" in out
+    assert "\x1b[2J" not in out
+
+
+def test_origin_is_three_whole_metres() -> None:
+    assert options.origin("455200,-5411900,0") == (455200, -5411900, 0)
+
+
+def test_progress_keeps_quiet_where_nobody_watches() -> None:
+    assert progress.progress("mapping") is None  # stderr is captured here, so no terminal
+
+
+def test_progress_line_tells_rate_and_time_left() -> None:
+    assert progress.line("mapping", 40, 180, 0.5) == "mapping  40/180 frames  80.0/s  2 s left"
+    assert progress.line("mapping", 40, 0, 0.5) == "mapping  40 frames  80.0/s"
+
+
+def test_progress_on_a_terminal_is_wiped_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    show = progress.progress("mapping")
+    assert show is not None
+    show(1, 2)
+    show(2, 2)
+    error = capsys.readouterr().err
+    assert "mapping  1/2 frames" in error
+    assert error.endswith("\r\x1b[K")
