@@ -1,0 +1,400 @@
+"""Recordings: `STEM.mcap` with colour, depth, calibrations, poses and, if there is any, ground truth.
+
+The table of topics is in docs/formats.md; the messages in formats.schemas.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, Self
+
+from google.protobuf.message import DecodeError
+
+from openvox import __version__
+from openvox.core.digest import START, frame_digest, recording_link
+from openvox.core.errors import InputError
+from openvox.core.types import Frame, Rig
+from openvox.formats import schemas
+from openvox.formats.images import image_size
+from openvox.formats.mcap_io import McapWriter, Message, Topic, read_ahead, read_messages, read_metadata, read_topics
+
+FORMAT_VERSION = 1
+METADATA = "openvox.recording"
+BEGIN_METADATA = "openvox.recording.begin"
+"""What is known before the first frame; all that an unfinished file has."""
+
+MAX_STAMP_NS = (1 << 31) * 10**9
+"""Stamps end before 2038: ROS counts seconds in 32 bits."""
+MAX_RANGES = 1000
+_NO_COLOR: tuple[bytes, Literal[""]] = (b"", "")
+_NEEDED = (schemas.DEPTH, schemas.DEPTH_CALIBRATION, schemas.TRANSFORMS)
+
+
+@dataclass(frozen=True)
+class RecordingInfo:
+    """What a recording says about itself."""
+
+    path: Path
+    frames: int
+    first: int
+    """Number of the first frame."""
+    last: int
+    digest: str
+    """Chain over all frames: core.digest.recording_link."""
+    source: str
+    """Kind of the source: scannet, replica, ..."""
+    depth_unit: str
+    """Of the source; the recording has millimetres."""
+    path_length_m: float
+    dropped: Mapping[str, int]
+    """Reason to number of frames."""
+    categories: Mapping[int, str]
+    """Names of the truth's categories; may be empty."""
+    rig: Rig
+    """Of the first frame."""
+    has_color: bool
+    has_truth: bool
+    seconds: float
+    """From the first stamp to the last."""
+    metadata: Mapping[str, str]
+    """The record `openvox.recording` as it is."""
+
+
+class RecordingWriter:
+    """Writes a recording, complete or not at all; a context manager. Memory does not grow with the frames' pixels.
+
+    source: kind of the source. depth_unit: that of the source. extra: further metadata. The same frames give the same
+    bytes. Raises InputError for a frame that cannot follow the last one, OutputError if the file cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        source: str,
+        depth_unit: str = "mm",
+        categories: Mapping[int, str] | None = None,
+        extra: Mapping[str, str] | None = None,
+    ):
+        self.path = path
+        self._begin = {
+            "format_version": str(FORMAT_VERSION),
+            "openvox_version": __version__,
+            "source": source,
+            "depth_unit": depth_unit,
+            "categories": _json({str(number): name for number, name in sorted((categories or {}).items())}),
+            **(extra or {}),
+        }
+        self._file = McapWriter(path)
+        self._digest = START
+        self._frames, self._path_length = 0, 0.0
+        self._first: Frame | None = None
+        self._last: Frame | None = None
+        self._last_index = -1
+        self._has_color = self._has_truth = False
+        self._dropped: dict[str, _Numbers] = {}
+
+    def __enter__(self) -> Self:
+        self._file.__enter__()
+        self._file.metadata(BEGIN_METADATA, self._begin)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            try:
+                self._finish()
+            except BaseException as raised:
+                self._file.__exit__(type(raised), raised, raised.__traceback__)
+                raise
+        self._file.__exit__(kind, error, trace)
+
+    def add(self, frame: Frame) -> None:
+        """The next frame: number and stamp must rise."""
+        self._check(frame)
+        for topic, data in _encoded(frame):
+            self._file.add(topic, frame.index, frame.stamp_ns, data)
+        self._digest = recording_link(self._digest, frame_digest(frame), frame)
+        if self._last is not None:
+            here, there = frame.world_from_depth.translation, self._last.world_from_depth.translation
+            self._path_length += math.dist(here, there)
+        self._first, self._last = self._first or frame, frame
+        self._frames, self._last_index = self._frames + 1, frame.index
+        self._has_color |= bool(frame.color)
+        self._has_truth |= frame.truth_instances is not None
+
+    def drop(self, index: int, reason: str) -> None:
+        """Notes that frame `index` of the source is left out; its number stays free."""
+        self._check_index(index)
+        self._last_index = index
+        self._dropped.setdefault(reason, _Numbers()).add(index)
+
+    def info(self) -> RecordingInfo:
+        """What was written; only after the block has ended."""
+        return recording_info(self.path)
+
+    def _check(self, frame: Frame) -> None:
+        where = f"{self.path}, frame {frame.index}"
+        self._check_index(frame.index)
+        if not 0 <= frame.stamp_ns < MAX_STAMP_NS:
+            raise InputError(f"{where}: stamp {frame.stamp_ns} ns; expected seconds between 0 and 2**31")
+        if self._last is not None and frame.stamp_ns <= self._last.stamp_ns:
+            raise InputError(
+                f"{where}: stamp {frame.stamp_ns} ns comes not after the {self._last.stamp_ns} ns of frame "
+                f"{self._last.index}; stamps must rise"
+            )
+        try:
+            _check_color(frame)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
+
+    def _check_index(self, index: int) -> None:
+        if not self._last_index < index < 1 << 32:
+            raise InputError(
+                f"{self.path}: frame {index} follows frame {self._last_index}; "
+                "frame numbers must rise and stay below 2**32"
+            )
+
+    def _finish(self) -> None:
+        if self._first is None or self._last is None:
+            raise InputError(f"{self.path}: there is no frame to record{_reasons(self._dropped)}")
+        record = {
+            "frames": str(self._frames),
+            "first": str(self._first.index),
+            "last": str(self._last.index),
+            "seconds": repr((self._last.stamp_ns - self._first.stamp_ns) / 1e9),
+            "path_length_m": repr(self._path_length),
+            "has_color": _json(self._has_color),
+            "has_truth": _json(self._has_truth),
+            "dropped": _json({reason: numbers.summary() for reason, numbers in sorted(self._dropped.items())}),
+            "digest": self._digest,
+        }
+        self._file.metadata(METADATA, self._begin | record)
+
+
+def recording_info(path: Path) -> RecordingInfo:
+    """What the recording says about itself, and its first frame's cameras. Raises InputError."""
+    record = _metadata(path)
+    first = next(_frames(path, None, None, 1, truth=False))
+    try:
+        dropped = {str(reason): int(entry["count"]) for reason, entry in json.loads(record["dropped"]).items()}
+        return RecordingInfo(
+            path=path,
+            frames=int(record["frames"]),
+            first=int(record["first"]),
+            last=int(record["last"]),
+            digest=record["digest"],
+            source=record["source"],
+            depth_unit=record["depth_unit"],
+            path_length_m=float(record["path_length_m"]),
+            dropped=dropped,
+            categories={int(number): str(name) for number, name in json.loads(record["categories"]).items()},
+            rig=first.rig,
+            has_color=bool(json.loads(record["has_color"])),
+            has_truth=bool(json.loads(record["has_truth"])),
+            seconds=float(record["seconds"]),
+            metadata=record,
+        )
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: its metadata {METADATA} cannot be read ({error!r}); make it again") from error
+
+
+def read_frames(
+    path: Path, *, start: int | None = None, end: int | None = None, stride: int = 1, ahead: int = 8, truth: bool = True
+) -> Iterator[Frame]:
+    """The frames of a recording in order, read by a thread that is up to `ahead` frames further on (0: no thread).
+
+    start, end (exclusive) and stride mean frame numbers. truth: False leaves truth images undecoded.
+    The file is opened and its end checked at once. Raises InputError: here for an unfinished, cut or foreign file,
+    while iterating for damage further in."""
+    if stride < 1:
+        raise InputError(f"stride is {stride}; expected 1 or more")
+    record = _metadata(path)
+    frames = _frames(path, start, end, stride, truth)
+    if start is None and end is None and stride == 1:
+        frames = _counted(path, frames, record)
+    return read_ahead(frames, ahead)
+
+
+def selected(index: int, start: int | None, end: int | None, stride: int) -> bool:
+    """True if frame `index` is asked for: from start, before end, every stride-th counted from start."""
+    return index >= (start or 0) and (end is None or index < end) and (index - (start or 0)) % stride == 0
+
+
+def _metadata(path: Path) -> dict[str, str]:
+    """The recording's metadata; its topics are checked, too."""
+    if not path.exists():
+        raise InputError(f"there is no file {path}")
+    record = read_metadata(path, METADATA, newest=FORMAT_VERSION)
+    topics = read_topics(path)
+    for topic in schemas.TOPICS:
+        found = topics.get(topic.name)
+        if found is None and topic in _NEEDED:
+            raise InputError(f"{path} has no topic {topic.name}; a recording needs depth, its calibration and /tf")
+        if found is not None and (found.message_encoding, found.schema_name) != (
+            topic.message_encoding,
+            topic.schema_name,
+        ):
+            raise InputError(
+                f"{path}: {topic.name} has {found.schema_name} in {found.message_encoding}; "
+                f"expected {topic.schema_name} in {topic.message_encoding}"
+            )
+    return record
+
+
+def _frames(path: Path, start: int | None, end: int | None, stride: int, truth: bool) -> Iterator[Frame]:
+    """Selected frames in file order, checked against their predecessors."""
+    last = (-1, -1)
+    rig: Rig | None = None
+    for messages in _grouped(path, {topic.name for topic in schemas.TOPICS}, start or 0):
+        head = next(iter(messages.values()))
+        here = (head.sequence, head.log_time)
+        if here[0] <= last[0] or here[1] <= last[1]:
+            raise InputError(
+                f"{path}: frame {here[0]} with stamp {here[1]} ns follows frame {last[0]} with {last[1]} ns; "
+                "both must rise"
+            )
+        last = here
+        if end is not None and head.sequence >= end:
+            return
+        if selected(head.sequence, start, end, stride):
+            frame = _decoded(path, messages, rig, truth)
+            rig = frame.rig
+            yield frame
+
+
+def _grouped(path: Path, topics: set[str], start: int) -> Iterator[dict[str, Message]]:
+    """The messages of each frame by topic."""
+    group: dict[str, Message] = {}
+    head: Message | None = None
+    for message in read_messages(path, topics, from_sequence=start):
+        if head is None or message.sequence != head.sequence:
+            if group:
+                yield group
+            group, head = {}, message
+        if message.topic in group or message.log_time != head.log_time:
+            raise InputError(
+                f"{path}, frame {message.sequence}: {message.topic} comes twice or with another stamp "
+                f"({message.log_time} and {head.log_time} ns)"
+            )
+        group[message.topic] = message
+    if group:
+        yield group
+
+
+def _decoded(path: Path, messages: Mapping[str, Message], rig: Rig | None, truth: bool) -> Frame:
+    """One frame of its messages. rig: the last frame's, kept if it is equal."""
+    head = next(iter(messages.values()))
+    where = f"{path}, frame {head.sequence}"
+
+    def decoded(topic: Topic, decode: Any) -> Any:
+        if topic.name not in messages:
+            return None
+        try:
+            return decode(messages[topic.name].data)
+        except (InputError, DecodeError, struct.error, IndexError) as error:
+            raise InputError(f"{where}, {topic.name}: {error}") from error
+
+    for topic in _NEEDED:
+        if topic.name not in messages:
+            raise InputError(f"{where}: there is no message on {topic.name}")
+    world_from_depth, depth_from_color = decoded(schemas.TRANSFORMS, schemas.decode_transforms)
+    depth_camera = decoded(schemas.DEPTH_CALIBRATION, schemas.decode_calibration)
+    color_camera = decoded(schemas.COLOR_CALIBRATION, schemas.decode_calibration)
+    color, color_format = decoded(schemas.COLOR, schemas.decode_color) or _NO_COLOR
+    if color and color_camera is None:
+        raise InputError(f"{where}: colour has no message on {schemas.COLOR_CALIBRATION.name}")
+    found = Rig(depth_camera, color_camera or depth_camera, depth_from_color)
+    try:
+        frame = Frame(
+            index=head.sequence,
+            stamp_ns=head.log_time,
+            world_from_depth=world_from_depth,
+            rig=rig if rig == found else found,
+            depth=decoded(schemas.DEPTH, schemas.decode_depth),
+            color=color,
+            color_format=color_format,
+            truth_instances=decoded(schemas.TRUTH_INSTANCES, schemas.decode_ids) if truth else None,
+            truth_categories=decoded(schemas.TRUTH_CATEGORIES, schemas.decode_ids) if truth else None,
+        )
+        _check_color(frame)
+    except InputError as error:
+        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
+    return frame
+
+
+def _counted(path: Path, frames: Iterator[Frame], record: Mapping[str, str]) -> Iterator[Frame]:
+    """The same frames; at the end as many as the metadata say."""
+    count = 0
+    for frame in frames:
+        count += 1
+        yield frame
+    if record.get("frames") != str(count):
+        raise InputError(
+            f"{path} holds {count} frames, its metadata say {record.get('frames')}; frames were lost: "
+            "see what is there with `openvox recover`"
+        )
+
+
+def _encoded(frame: Frame) -> Iterator[tuple[Topic, bytes]]:
+    """The messages of a frame, in the order of the file: small ones first."""
+    stamp, rig = frame.stamp_ns, frame.rig
+    yield schemas.DEPTH_CALIBRATION, schemas.encode_calibration(stamp, rig.depth, schemas.DEPTH_CAMERA)
+    yield schemas.COLOR_CALIBRATION, schemas.encode_calibration(stamp, rig.color, schemas.COLOR_CAMERA)
+    yield schemas.TRANSFORMS, schemas.encode_transforms(stamp, frame.world_from_depth, rig.depth_from_color)
+    yield schemas.DEPTH, schemas.encode_depth(stamp, frame.depth)
+    if frame.color:
+        yield schemas.COLOR, schemas.encode_color(stamp, frame.color, frame.color_format)
+    if frame.truth_instances is not None:
+        yield schemas.TRUTH_INSTANCES, schemas.encode_ids(stamp, frame.truth_instances)
+    if frame.truth_categories is not None:
+        yield schemas.TRUTH_CATEGORIES, schemas.encode_ids(stamp, frame.truth_categories)
+
+
+def _check_color(frame: Frame) -> None:
+    """The colour file is of the format and the size that the frame says."""
+    if not frame.color:
+        return
+    found = image_size(frame.color)
+    expected = (frame.color_format, frame.rig.color.width, frame.rig.color.height)
+    if found != expected:
+        raise InputError(
+            f"colour is a {found[0]} of {found[1]}x{found[2]}; "
+            f"its camera says {expected[0]} of {expected[1]}x{expected[2]}"
+        )
+
+
+class _Numbers:
+    """Rising frame numbers, kept as at most MAX_RANGES ranges; the count is always exact."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._ranges: list[list[int]] = []
+
+    def add(self, number: int) -> None:
+        self.count += 1
+        if self._ranges and self._ranges[-1][1] == number - 1:
+            self._ranges[-1][1] = number
+        elif len(self._ranges) < MAX_RANGES:
+            self._ranges.append([number, number])
+
+    def summary(self) -> dict[str, Any]:
+        """count, and the first ranges, both ends included."""
+        return {"count": self.count, "ranges": self._ranges}
+
+
+def _reasons(dropped: Mapping[str, _Numbers]) -> str:
+    """What was dropped, for a sentence."""
+    parts = ", ".join(f"{numbers.count} with {reason}" for reason, numbers in sorted(dropped.items()))
+    return f" (dropped: {parts})" if parts else ""
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, separators=(",", ":"))
