@@ -59,7 +59,11 @@ def ingest(
     stride: options.Stride = 1,
     json: options.Json = False,
 ) -> None:
-    """Make a recording: colour, depth, poses, intrinsics, and the ground truth where there is one."""
+    """Make a recording of a folder of RGB-D frames.
+
+    It holds colour, depth, poses, intrinsics, and the ground truth where there is one. Frames with a pose that is no
+    pose are left out and counted.
+    """
     shift = options.origin(origin)
     from openvox.apps import ingest as application
 
@@ -100,7 +104,10 @@ def perceive(
     jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Worker processes; the result is the same.")] = 1,
     json: options.Json = False,
 ) -> None:
-    """Find masks, captions and embeddings in every frame, once; what is there already is not done again."""
+    """Find masks, captions and embeddings in every frame.
+
+    Once: what an earlier run did on the same frames in the same way is not done again.
+    """
     from openvox.apps import perceive as application
 
     result = application.perceive(
@@ -144,7 +151,10 @@ def replay(
     stride: options.Stride = 1,
     json: options.Json = False,
 ) -> None:
-    """Build the instance map and the trace of every decision; the same input gives the same bytes."""
+    """Build the instance map, and a trace of every decision.
+
+    No model runs here, so other parameters take seconds. The same input gives the same bytes.
+    """
     from openvox.apps import replay as application
 
     result = application.replay(
@@ -171,7 +181,7 @@ def query(
     top: Annotated[int, typer.Option(min=1, metavar="K", help="Answers a text.")] = 3,
     json: options.Json = False,
 ) -> None:
-    """Ask the map in words: which instances fit best, and where they are."""
+    """Ask a map in words: what fits best, and where it is."""
     from openvox.apps import query as application
 
     tables.show(
@@ -193,7 +203,11 @@ def evaluate(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Score the map against ground truth: instances, voxel confidence, rendered masks, semantics, retrieval."""
+    """Score a map against ground truth.
+
+    Instances, confidence, rendered masks, semantics and retrieval; the objects that were split, merged or missed by
+    name.
+    """
     from openvox.apps import evaluate as application
 
     result = application.evaluate(map_file, truth=truth, queries=queries, classes=classes)
@@ -206,7 +220,10 @@ def explain(
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="The frame whose decisions to show.")],
     json: options.Json = False,
 ) -> None:
-    """Show why each mask of a frame went where it went: every candidate with its scores, and the rule."""
+    """Show why each mask of a frame went where it went.
+
+    Every candidate with its scores, the threshold, and the rule that decided.
+    """
     from openvox.apps import explain as application
 
     tables.show(application.explain_frame(trace, frame), json, tables.explain)
@@ -218,7 +235,7 @@ def export(
     out: Annotated[Path, typer.Argument(metavar="OUT.{ply,csv}", help="ply: coloured points; csv: a row an instance.")],
     json: options.Json = False,
 ) -> None:
-    """Write the map for other programs; the ending says how."""
+    """Write a map for other programs; the ending says how."""
     from openvox.apps import export as application
 
     tables.show(application.export(map_file, out), json, tables.pairs)

@@ -140,9 +140,9 @@ def _parsed(row: Description, raw: Value, source: str) -> Value:
     elif not isinstance(raw, bool):
         try:
             number = float(raw)
-        except ValueError:
+        except (ValueError, OverflowError):
             number = math.nan
-        if not math.isnan(number) and (kind is float or number == int(number)):
+        if not math.isnan(number) and (kind is float or number.is_integer()):
             return kind(number)
     expected = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}[kind]
     raise InputError(f"{source}: {row.name} is {raw!r}; expected {expected}")
