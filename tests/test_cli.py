@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from worlds import tiny_frames, write_scannet
 
 from openvox import __version__
 from openvox.cli import main, options, progress, tables
@@ -145,3 +146,25 @@ def test_progress_on_a_terminal_is_wiped_at_the_end(
     error = capsys.readouterr().err
     assert "mapping  1/2 frames" in error
     assert error.endswith("\r\x1b[K")
+
+
+def test_ingest_tells_what_it_recorded_and_what_comes_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scannet(tmp_path / "scene", tiny_frames(3))
+    (scene / "pose" / "000001.txt").write_text("-inf " * 16)
+    recording = tmp_path / "tiny.mcap"
+    assert run("ingest", scene, recording) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("2 frames, numbers 0 to 2, ")
+    assert "left out: 1 frames (pose is not finite)" in captured.out
+    assert captured.out.endswith(f"wrote {recording}\nnext: openvox perceive {recording}\n")
+    assert captured.err == ""
+    assert run("ingest", scene, recording) == 0
+    assert "an older file of that name was replaced" in capsys.readouterr().out
+
+
+def test_ingest_with_json_says_the_same_to_a_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = write_scannet(tmp_path / "scene", tiny_frames(3))
+    assert run("ingest", scene, tmp_path / "tiny.mcap", "--json", "--stride", "2") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["frames"], result["first"], result["last"]) == (2, 0, 2)
+    assert result["replaced"] is False

@@ -78,7 +78,7 @@ def ingest(
         stride=stride,
         progress=progress("reading"),
     )
-    tables.show(result, json, tables.pairs, "openvox", "perceive", recording)
+    tables.show(result, json, tables.ingest, "openvox", "perceive", recording)
 
 
 @app.command(

@@ -92,6 +92,26 @@ def _print_pairs(data: Data, indent: str) -> None:
             print(f"{indent}{str(key).replace('_', ' '):<{width}}  {_cell(value) or '-'}")
 
 
+def ingest(data: Data) -> None:
+    """What was recorded, and what was left out and why."""
+    near, far = data["depth_range_m"]
+    print(
+        f"{data['frames']} frames, numbers {data['first']} to {data['last']}, {data['seconds']:.1f} s, path "
+        f"{data['path_length_m']:.2f} m, depth {near:.2f} to {far:.2f} m, "
+        f"{'with' if data['has_truth'] else 'without'} ground truth"
+    )
+    for reason, count in data["dropped"].items():
+        print(f"left out: {count} frames ({reason})")
+    for note in data["notes"]:
+        print(f"note: {_cell(note)}")
+    print(f"recording digest {data['digest']}")
+    _wrote(data["output"], data["replaced"])
+
+
+def _wrote(path: str, replaced: bool = False) -> None:
+    print(f"wrote {path}{' (an older file of that name was replaced)' if replaced else ''}")
+
+
 def replay(data: Data) -> None:
     """Speed, size, what decided, digests, files."""
     print(
@@ -108,7 +128,7 @@ def replay(data: Data) -> None:
         print(f"{name} digest {digest}")
     for path in data["outputs"].values():
         if path:
-            print(f"wrote {path}")
+            _wrote(path)
 
 
 def query(data: Data) -> None:
