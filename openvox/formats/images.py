@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
-from openvox.core.types import MAX_IMAGE_SIDE, DepthImage, Frame
+from openvox.core.types import MAX_IMAGE_SIDE, Frame
 
 ColorFormat = Literal["jpeg", "png"]
 MAX_PIXELS = 1 << 26
@@ -56,19 +56,21 @@ def decode_color(frame: Frame) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def decode_png16(data: bytes) -> DepthImage:
-    """A 16-bit grey PNG as (height, width) uint16. Raises InputError for any other picture."""
+def decode_png16(data: bytes, *, or_8: bool = False) -> NDArray[np.uint16]:
+    """A grey PNG of 16 bits (or_8: or of 8) as (height, width) uint16. Raises InputError for any other picture."""
     import cv2
 
     if not data.startswith(_PNG):
         raise InputError(f"the file begins with {data[:4].hex() or 'nothing'}; expected a PNG")
     width, height, bits, kind = _png_header(data)
-    if (bits, kind) != (16, _GREY):
-        raise InputError(f"the PNG has {bits} bits and colour type {kind}; expected 16 bits of grey (type 0)")
+    if kind != _GREY or bits not in ((8, 16) if or_8 else (16,)):
+        raise InputError(
+            f"the PNG has {bits} bits and colour type {kind}; expected {'8 or ' * or_8}16 bits of grey (type {_GREY})"
+        )
     _check_png(data)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.dtype != np.uint16 or image.shape != (height, width):
-        raise InputError(f"the PNG of {width}x{height} pixels cannot be decoded as 16 bits of grey")
+    if image is None or image.dtype != f"uint{bits}" or image.shape != (height, width):
+        raise InputError(f"the PNG of {width}x{height} pixels cannot be decoded as {bits} bits of grey")
     return np.asarray(image, np.uint16)
 
 

@@ -185,7 +185,7 @@ def read_messages(path: Path, topics: Collection[str], *, from_sequence: int = 0
         raise _damage(path, summary.data_end, "the data section has no end")
 
 
-def read_ahead(items: Iterable[T], ahead: int) -> Iterator[T]:
+def read_ahead(items: Iterable[T], ahead: int) -> Generator[T, None, None]:
     """The same items, made by a thread that is up to `ahead` of them further on; 0: no thread.
 
     An exception of the items is raised here. The thread has ended when this iterator is exhausted or closed."""

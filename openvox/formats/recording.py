@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -195,7 +195,7 @@ def recording_info(path: Path) -> RecordingInfo:
             depth_unit=record["depth_unit"],
             path_length_m=float(record["path_length_m"]),
             dropped=dropped,
-            categories={int(number): str(name) for number, name in json.loads(record["categories"]).items()},
+            categories=dict(_categories(record["categories"])),
             rig=first.rig,
             has_color=bool(json.loads(record["has_color"])),
             has_truth=bool(json.loads(record["has_truth"])),
@@ -208,7 +208,7 @@ def recording_info(path: Path) -> RecordingInfo:
 
 def read_frames(
     path: Path, *, start: int | None = None, end: int | None = None, stride: int = 1, ahead: int = 8, truth: bool = True
-) -> Iterator[Frame]:
+) -> Generator[Frame, None, None]:
     """The frames of a recording in order, read by a thread that is up to `ahead` frames further on (0: no thread).
 
     start, end (exclusive) and stride mean frame numbers. truth: False leaves truth images undecoded.
@@ -369,6 +369,10 @@ def _check_color(frame: Frame) -> None:
             f"colour is a {found[0]} of {found[1]}x{found[2]}; "
             f"its camera says {expected[0]} of {expected[1]}x{expected[2]}"
         )
+
+
+def _categories(text: str) -> list[tuple[int, str]]:
+    return sorted((int(number), str(name)) for number, name in json.loads(text).items())
 
 
 class _Numbers:

@@ -1,0 +1,114 @@
+"""ingest: a folder of RGB-D frames becomes a recording."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from openvox.core.errors import InputError
+from openvox.core.types import DepthImage
+from openvox.formats.mcap_io import MAGIC, read_ahead
+from openvox.formats.recording import RecordingWriter
+from openvox.sources import Dropped, open_source
+
+
+@dataclass(frozen=True)
+class IngestResult:
+    """What was recorded. Lengths in metres."""
+
+    output: str
+    replaced: bool
+    """An older file of that name was replaced."""
+    source: str
+    frames: int
+    first: int
+    last: int
+    dropped: Mapping[str, int]
+    """Reason to number of frames."""
+    seconds: float
+    path_length_m: float
+    depth_range_m: tuple[float, float]
+    """1st and 99th percentile of the measured depths (of every 16th pixel)."""
+    has_truth: bool
+    notes: tuple[str, ...]
+    """What was assumed, invented or changed, a sentence each."""
+    digest: str
+
+
+def ingest(
+    source: Path,
+    out: Path,
+    *,
+    format: str = "auto",  # noqa: A002 (the option's name)
+    fps: float = 30.0,
+    origin: tuple[int, int, int] = (0, 0, 0),
+    start: int | None = None,
+    end: int | None = None,
+    stride: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> IngestResult:
+    """Records the frames of `source` in `out`, which appears complete or not at all.
+
+    See sources.open_source for the options. Raises InputError, OutputError."""
+    opened = open_source(source, format, fps, origin, start, end, stride)
+    replaced = out.exists()
+    _check_target(source, out)
+    extra = {"notes": json.dumps(opened.notes), "origin_m": json.dumps(origin)}
+    depths = np.zeros(1 << 16, np.int64)
+    with (
+        closing(read_ahead(opened.frames, ahead=4)) as frames,
+        RecordingWriter(
+            out, source=opened.kind, depth_unit=opened.depth_unit, categories=opened.categories, extra=extra
+        ) as writer,
+    ):
+        for done, frame in enumerate(frames, 1):
+            if isinstance(frame, Dropped):
+                writer.drop(frame.index, frame.reason)
+            else:
+                writer.add(frame)
+                depths += _histogram(frame.depth)
+            if progress is not None:
+                progress(done, opened.total)
+    info = writer.info()
+    return IngestResult(
+        output=str(out),
+        replaced=replaced,
+        source=info.source,
+        frames=info.frames,
+        first=info.first,
+        last=info.last,
+        dropped=info.dropped,
+        seconds=info.seconds,
+        path_length_m=info.path_length_m,
+        depth_range_m=_range(depths),
+        has_truth=info.has_truth,
+        notes=opened.notes,
+        digest=info.digest,
+    )
+
+
+def _check_target(source: Path, out: Path) -> None:
+    """Refuses to write over a file of the source."""
+    if out.is_file() and out.resolve().is_relative_to(source.resolve()):
+        with out.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise InputError(f"{out} is a file of the source {source}; name another file for the recording")
+
+
+def _histogram(depth: DepthImage) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """(65536,): how many of every 16th pixel have each depth in millimetres."""
+    return np.bincount(depth[::4, ::4].ravel(), minlength=1 << 16)
+
+
+def _range(depths: np.ndarray[tuple[int], np.dtype[np.int64]]) -> tuple[float, float]:
+    """1st and 99th percentile in metres of a histogram in millimetres, 0 (no measurement) left out."""
+    total = np.cumsum(depths[1:])
+    if not total[-1]:
+        return 0.0, 0.0
+    low, high = (int(np.searchsorted(total, -(-total[-1] * percent // 100))) + 1 for percent in (1, 99))
+    return low / 1000.0, high / 1000.0
