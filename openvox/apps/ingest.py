@@ -12,7 +12,8 @@ import numpy as np
 
 from openvox.core.errors import InputError
 from openvox.core.types import DepthImage
-from openvox.formats.mcap_io import MAGIC, read_ahead
+from openvox.formats.ahead import read_ahead
+from openvox.formats.mcap_io import MAGIC
 from openvox.formats.recording import RecordingWriter
 from openvox.sources import Dropped, open_source
 

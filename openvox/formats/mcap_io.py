@@ -9,18 +9,16 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-import queue
 import struct
-import threading
 import zlib
 from array import array
 from bisect import bisect_left
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self, TypeVar, cast
+from typing import BinaryIO, Self, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -45,7 +43,6 @@ _CHUNK = struct.Struct("<QQQII")
 _MESSAGE = struct.Struct("<HIQQ")
 _FOOTER = struct.Struct("<BQQQI")
 _BROKEN = (McapError, zstandard.ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError)
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,52 +180,6 @@ def read_messages(path: Path, topics: Collection[str], *, from_sequence: int = 0
                     raise _damage(path, records.offset, "the CRC of the data section is wrong")
                 return
         raise _damage(path, summary.data_end, "the data section has no end")
-
-
-def read_ahead(items: Iterable[T], ahead: int) -> Generator[T, None, None]:
-    """The same items, made by a thread that is up to `ahead` of them further on; 0: no thread.
-
-    An exception of the items is raised here. The thread has ended when this iterator is exhausted or closed."""
-    iterator = iter(items)
-    if ahead < 1:
-        yield from iterator
-        return
-    done: queue.Queue[T | _End] = queue.Queue(maxsize=ahead)
-    stop = threading.Event()
-    thread = threading.Thread(target=_fill, args=(iterator, done, stop), name="openvox read ahead", daemon=True)
-    thread.start()
-    try:
-        while not isinstance(item := done.get(), _End):
-            yield item
-        if item.error is not None:
-            raise item.error
-    finally:
-        stop.set()
-        while not done.empty():  # makes room for the one item that the thread may be waiting to put
-            done.get()
-        thread.join()
-
-
-@dataclass(frozen=True, slots=True)
-class _End:
-    """What the thread puts last: the error that ended the items, if any."""
-
-    error: BaseException | None
-
-
-def _fill(items: Iterator[T], done: queue.Queue[T | _End], stop: threading.Event) -> None:
-    error: BaseException | None = None
-    try:
-        for item in items:
-            done.put(item)
-            if stop.is_set():
-                return
-    except BaseException as raised:
-        error = raised
-    finally:
-        if isinstance(items, Generator):
-            items.close()
-    done.put(_End(error))
 
 
 @dataclass(frozen=True, slots=True)

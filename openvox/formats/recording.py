@@ -7,22 +7,20 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from collections.abc import Generator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
-
-from google.protobuf.message import DecodeError
+from typing import Any, Self
 
 from openvox import __version__
 from openvox.core.digest import START, frame_digest, recording_link
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Rig
 from openvox.formats import schemas
-from openvox.formats.images import image_size
-from openvox.formats.mcap_io import McapWriter, Message, Topic, read_ahead, read_messages, read_metadata, read_topics
+from openvox.formats.ahead import read_ahead
+from openvox.formats.frames import NEEDED, check_color, decode_frame, encode_frame
+from openvox.formats.mcap_io import McapWriter, Message, read_messages, read_metadata, read_topics
 
 FORMAT_VERSION = 1
 METADATA = "openvox.recording"
@@ -32,8 +30,6 @@ BEGIN_METADATA = "openvox.recording.begin"
 MAX_STAMP_NS = (1 << 31) * 10**9
 """Stamps end before 2038: ROS counts seconds in 32 bits."""
 MAX_RANGES = 1000
-_NO_COLOR: tuple[bytes, Literal[""]] = (b"", "")
-_NEEDED = (schemas.DEPTH, schemas.DEPTH_CALIBRATION, schemas.TRANSFORMS)
 
 
 @dataclass(frozen=True)
@@ -119,7 +115,7 @@ class RecordingWriter:
     def add(self, frame: Frame) -> None:
         """The next frame: number and stamp must rise."""
         self._check(frame)
-        for topic, data in _encoded(frame):
+        for topic, data in encode_frame(frame):
             self._file.add(topic, frame.index, frame.stamp_ns, data)
         self._digest = recording_link(self._digest, frame_digest(frame), frame)
         if self._last is not None:
@@ -151,9 +147,9 @@ class RecordingWriter:
                 f"{self._last.index}; stamps must rise"
             )
         try:
-            _check_color(frame)
+            check_color(frame)
         except InputError as error:
-            raise InputError(f"{where}: {error}") from error
+            raise InputError(f"{self.path}, {error}") from error
 
     def _check_index(self, index: int) -> None:
         if not self._last_index < index < 1 << 32:
@@ -236,7 +232,7 @@ def _metadata(path: Path) -> dict[str, str]:
     topics = read_topics(path)
     for topic in schemas.TOPICS:
         found = topics.get(topic.name)
-        if found is None and topic in _NEEDED:
+        if found is None and topic in NEEDED:
             raise InputError(f"{path} has no topic {topic.name}; a recording needs depth, its calibration and /tf")
         if found is not None and (found.message_encoding, found.schema_name) != (
             topic.message_encoding,
@@ -265,7 +261,7 @@ def _frames(path: Path, start: int | None, end: int | None, stride: int, truth: 
         if end is not None and head.sequence >= end:
             return
         if selected(head.sequence, start, end, stride):
-            frame = _decoded(path, messages, rig, truth)
+            frame = decode_frame(path, messages, rig, truth)
             rig = frame.rig
             yield frame
 
@@ -289,47 +285,6 @@ def _grouped(path: Path, topics: set[str], start: int) -> Iterator[dict[str, Mes
         yield group
 
 
-def _decoded(path: Path, messages: Mapping[str, Message], rig: Rig | None, truth: bool) -> Frame:
-    """One frame of its messages. rig: the last frame's, kept if it is equal."""
-    head = next(iter(messages.values()))
-    where = f"{path}, frame {head.sequence}"
-
-    def decoded(topic: Topic, decode: Any) -> Any:
-        if topic.name not in messages:
-            return None
-        try:
-            return decode(messages[topic.name].data)
-        except (InputError, DecodeError, struct.error, IndexError) as error:
-            raise InputError(f"{where}, {topic.name}: {error}") from error
-
-    for topic in _NEEDED:
-        if topic.name not in messages:
-            raise InputError(f"{where}: there is no message on {topic.name}")
-    world_from_depth, depth_from_color = decoded(schemas.TRANSFORMS, schemas.decode_transforms)
-    depth_camera = decoded(schemas.DEPTH_CALIBRATION, schemas.decode_calibration)
-    color_camera = decoded(schemas.COLOR_CALIBRATION, schemas.decode_calibration)
-    color, color_format = decoded(schemas.COLOR, schemas.decode_color) or _NO_COLOR
-    if color and color_camera is None:
-        raise InputError(f"{where}: colour has no message on {schemas.COLOR_CALIBRATION.name}")
-    found = Rig(depth_camera, color_camera or depth_camera, depth_from_color)
-    try:
-        frame = Frame(
-            index=head.sequence,
-            stamp_ns=head.log_time,
-            world_from_depth=world_from_depth,
-            rig=rig if rig == found else found,
-            depth=decoded(schemas.DEPTH, schemas.decode_depth),
-            color=color,
-            color_format=color_format,
-            truth_instances=decoded(schemas.TRUTH_INSTANCES, schemas.decode_ids) if truth else None,
-            truth_categories=decoded(schemas.TRUTH_CATEGORIES, schemas.decode_ids) if truth else None,
-        )
-        _check_color(frame)
-    except InputError as error:
-        raise InputError(str(error) if str(error).startswith(where) else f"{where}: {error}") from error
-    return frame
-
-
 def _counted(path: Path, frames: Iterator[Frame], record: Mapping[str, str]) -> Iterator[Frame]:
     """The same frames; at the end as many as the metadata say."""
     count = 0
@@ -340,34 +295,6 @@ def _counted(path: Path, frames: Iterator[Frame], record: Mapping[str, str]) -> 
         raise InputError(
             f"{path} holds {count} frames, its metadata say {record.get('frames')}; frames were lost: "
             "see what is there with `openvox recover`"
-        )
-
-
-def _encoded(frame: Frame) -> Iterator[tuple[Topic, bytes]]:
-    """The messages of a frame, in the order of the file: small ones first."""
-    stamp, rig = frame.stamp_ns, frame.rig
-    yield schemas.DEPTH_CALIBRATION, schemas.encode_calibration(stamp, rig.depth, schemas.DEPTH_CAMERA)
-    yield schemas.COLOR_CALIBRATION, schemas.encode_calibration(stamp, rig.color, schemas.COLOR_CAMERA)
-    yield schemas.TRANSFORMS, schemas.encode_transforms(stamp, frame.world_from_depth, rig.depth_from_color)
-    yield schemas.DEPTH, schemas.encode_depth(stamp, frame.depth)
-    if frame.color:
-        yield schemas.COLOR, schemas.encode_color(stamp, frame.color, frame.color_format)
-    if frame.truth_instances is not None:
-        yield schemas.TRUTH_INSTANCES, schemas.encode_ids(stamp, frame.truth_instances)
-    if frame.truth_categories is not None:
-        yield schemas.TRUTH_CATEGORIES, schemas.encode_ids(stamp, frame.truth_categories)
-
-
-def _check_color(frame: Frame) -> None:
-    """The colour file is of the format and the size that the frame says."""
-    if not frame.color:
-        return
-    found = image_size(frame.color)
-    expected = (frame.color_format, frame.rig.color.width, frame.rig.color.height)
-    if found != expected:
-        raise InputError(
-            f"colour is a {found[0]} of {found[1]}x{found[2]}; "
-            f"its camera says {expected[0]} of {expected[1]}x{expected[2]}"
         )
 
 
