@@ -1,0 +1,71 @@
+"""Parameters of the perception stages that are computed here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from openvox.core.parameters import parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryParameters:
+    """Regions from depth alone. Pixels are those of the working picture, about 320 wide, unless said otherwise."""
+
+    near: float = parameter(0.15, "m", 0.0, 10.0, why="nearer depth is ignored: sensors measure nothing sound there")
+    far: float = parameter(6.0, "m", 0.1, 65.0, why="farther depth is ignored: noise grows with its square")
+    planes: bool = parameter(True, "", why="floor, walls and ceiling are background; off, they come out as regions")
+    plane_frames: int = parameter(
+        24, "frames", 1, 1000, needs="geometry.planes", why="spread over the recording, to find the room's planes in"
+    )
+    plane_area: float = parameter(
+        0.8, "m2", 0.01, 1000.0, needs="geometry.planes", why="a smaller plane bounds no room"
+    )
+    tolerance: float = parameter(
+        0.012, "m", 0.0, 1.0, why="a point so far off a neighbour's surface is behind a step, at depth 0"
+    )
+    tolerance_growth: float = parameter(
+        0.006, "m/m2", 0.0, 1.0, why="growth of the tolerance with the square of depth, as the sensor's noise"
+    )
+    crease: float = parameter(
+        0.97, "cosine", -1.0, 1.0, why="of two normals: below it a concave bend parts two things (14 degrees)"
+    )
+    piece_pixels: int = parameter(60, "px", 1, 100_000, why="smaller pieces between cuts are noise, or left-overs")
+    merge_smooth: float = parameter(
+        0.6, "share", 0.0, 1.0, why="two pieces are one if more of their border than this is smooth or convex"
+    )
+    merge_concave: float = parameter(
+        0.25, "share", 0.0, 1.0, why="two pieces stay two if this much of their border is a concave crease"
+    )
+    residue: bool = parameter(
+        True, "", why="plants and thin legs are too torn for pieces: what is left over is parted by depth alone"
+    )
+    residue_pixels: int = parameter(
+        600, "px", 1, 100_000, needs="geometry.residue", why="smaller left-overs are mostly noise"
+    )
+    min_pixels: int = parameter(400, "colour px", 1, 1_000_000, why="smaller regions are mostly noise")
+
+
+@dataclass(frozen=True, kw_only=True)
+class OracleParameters:
+    """Masks from the recording's ground truth."""
+
+    min_pixels: int = parameter(60, "px", 1, 1_000_000, why="less of an object is too little to be seen")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometrySet:
+    """What `--set` may name with `--frontend geometry`."""
+
+    geometry: GeometryParameters = field(default_factory=GeometryParameters)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OracleSet:
+    """What `--set` may name with `--frontend oracle`."""
+
+    oracle: OracleParameters = field(default_factory=OracleParameters)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoParameters:
+    """Detections come as they are: nothing to set."""
