@@ -64,7 +64,7 @@ def labelled_map(
     order = np.lexsort(index.T[::-1])
     index, label = index[order].astype(np.int32), label[order].astype(np.int32)
     ids = np.unique(label[label > 0])
-    feature = np.array([(features or {}).get(int(i), [1.0, 0.0]) for i in ids], np.float32).reshape(len(ids), -1)
+    feature = [(features or {}).get(int(i), [1.0, 0.0]) for i in ids]
     return InstanceMap(
         voxel_index=index,
         vote_offset=np.arange(len(index) + 1, dtype=np.int64),
@@ -76,7 +76,7 @@ def labelled_map(
         voxel_confidence=np.full(len(index), voxel_confidence, np.float32),
         instance_id=ids,
         instance_confidence=np.array([(confidence or {}).get(int(i), 0.5) for i in ids], np.float32),
-        feature=feature,
+        feature=np.array(feature, np.float32) if len(ids) else np.zeros((0, 2), np.float32),
         feature_weight=np.ones(len(ids)),
         voxel_size=voxel_size,
         vote_unit=1.0,
