@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -97,20 +98,20 @@ class RecordingWriter:
         self._dropped: dict[str, _Numbers] = {}
 
     def __enter__(self) -> Self:
-        self._file.__enter__()
-        self._file.metadata(BEGIN_METADATA, self._begin)
+        with ExitStack() as stack:
+            stack.enter_context(self._file)
+            self._file.metadata(BEGIN_METADATA, self._begin)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
-            try:
-                self._finish()
-            except BaseException as raised:
-                self._file.__exit__(type(raised), raised, raised.__traceback__)
-                raise
-        self._file.__exit__(kind, error, trace)
+        if error is not None:
+            self._stack.__exit__(kind, error, trace)
+            return
+        with self._stack:
+            self._finish()
 
     def add(self, frame: Frame) -> None:
         """The next frame: number and stamp must rise."""
