@@ -204,6 +204,6 @@ def _get_text(data: memoryview, at: int) -> tuple[str, int]:
     """A text and where it ends."""
     (length,) = struct.unpack_from("<I", data, _aligned(at))
     end = _aligned(at) + 4 + length
-    if not 0 < length <= 4096 or end > len(data):
+    if not 0 < length <= 256 or end > len(data):
         raise InputError(f"a text of {length} bytes in a message of {len(data)}")
     return bytes(data[end - length : end - 1]).decode("ascii", "replace"), end
