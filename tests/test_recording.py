@@ -30,7 +30,7 @@ from openvox.core.digest import START, frame_digest, recording_link
 from openvox.core.errors import InputError, OutputError
 from openvox.core.types import Frame, Intrinsics, Pose, Rig
 from openvox.formats.ahead import read_ahead
-from openvox.formats.images import decode_color
+from openvox.formats.images import decode_color, decode_png16, encode_jpeg, encode_png
 from openvox.formats.mcap_io import McapWriter, Topic, read_messages
 from openvox.formats.recording import RecordingWriter, read_frames, recording_info
 
@@ -425,3 +425,12 @@ def test_a_full_disk_leaves_the_older_recording(tmp_path: Path) -> None:
 def test_messages_of_a_topic_can_be_read_alone(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", tiny_frames(3))
     assert [(m.topic, m.sequence) for m in read_messages(path, {"/tf"})] == [("/tf", 0), ("/tf", 1), ("/tf", 2)]
+
+
+def test_pictures_encoded_here_are_read_back() -> None:
+    depth = tiny_frames(1)[0].depth
+    np.testing.assert_array_equal(decode_png16(encode_png(depth)), depth, strict=True)
+    color = np.zeros((24, 32, 3), np.uint8)
+    color[..., 0] = 200
+    frame = replace(tiny_frames(1)[0], color=encode_jpeg(color), color_format="jpeg")
+    np.testing.assert_allclose(decode_color(frame).astype(int), color.astype(int), atol=3)

@@ -1,6 +1,6 @@
 """Recordings: `STEM.mcap` with colour, depth, calibrations, poses and, if there is any, ground truth.
 
-The table of topics is in docs/formats.md; the messages in formats.schemas.
+Topics and messages are in formats.schemas, what makes a frame of them in formats.frames.
 """
 
 from __future__ import annotations
