@@ -42,7 +42,7 @@ HEAVY = ("torch", "rerun", "numba", "cv2", "numpy", "onnxruntime")
 
 
 def imports(source: str, package: str) -> Iterator[str]:
-    """Dotted names of everything that a module imports, wherever it does, also by a text as "openvox.room.file:name"."""
+    """Dotted names of everything that a module imports, wherever it does, also as text "openvox.room.file:name"."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
