@@ -30,6 +30,29 @@ SCORE = 0.5
 VERSION = 1
 
 
+class NoBoxes:
+    """Det of a front end that has none: looks at every frame and finds no boxes."""
+
+    name = "none"
+    model_digest = ""
+
+    def __init__(self) -> None:
+        self.parameters: Mapping[str, Value] = {}
+        self._digest = stage_digest(self.name, VERSION, self.parameters)
+
+    def digest(self, frame: Frame) -> str:
+        """The same for every frame."""
+        return self._digest
+
+    def looks_at(self, frame: Frame) -> bool:
+        """Always."""
+        return True
+
+    def __call__(self, frame: Frame) -> tuple[Box, ...]:
+        """None."""
+        return ()
+
+
 class Geometry:
     """SegCap without a detector: regions of a depth image. Takes the room's planes from the whole recording."""
 

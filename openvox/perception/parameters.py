@@ -53,19 +53,8 @@ class OracleParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GeometrySet:
-    """What `--set` may name with `--frontend geometry`."""
+class PerceptionParameters:
+    """All groups; a front end uses that of its own name. Detections from a file come as they are."""
 
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OracleSet:
-    """What `--set` may name with `--frontend oracle`."""
-
     oracle: OracleParameters = field(default_factory=OracleParameters)
-
-
-@dataclass(frozen=True, kw_only=True)
-class NoParameters:
-    """Detections come as they are: nothing to set."""

@@ -163,7 +163,8 @@ def _same(a: Plane, b: Plane) -> bool:
 
 def in_world(points: Floats, world_from_depth: Pose) -> Points:
     """(3, n) points of the depth camera in the world, float64."""
-    return turned(points, world_from_depth) + np.array(world_from_depth.translation)[:, None]
+    moved: Points = turned(points, world_from_depth) + np.array(world_from_depth.translation, np.float64)[:, None]
+    return moved
 
 
 def turned(vectors: Floats, pose: Pose) -> Points:

@@ -1,0 +1,35 @@
+"""Enc for front ends that give words: each mask's caption through a sentence encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.parameters import Value
+from openvox.core.types import Frame, Mask
+from openvox.perception.encoder import TextEncoder
+from openvox.perception.stage import stage_digest
+
+VERSION = 1
+
+
+class CaptionEncoder:
+    """A sentence encoder as a stage."""
+
+    def __init__(self, encoder: TextEncoder) -> None:
+        self._encoder = encoder
+        self.name = encoder.name
+        self.dimensions = encoder.dimensions
+        self.model_digest = encoder.model_digest
+        self.parameters: Mapping[str, Value] = {}
+        self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest)
+
+    def digest(self, frame: Frame) -> str:
+        """The model's, for every frame."""
+        return self._digest
+
+    def __call__(self, frame: Frame, masks: Sequence[Mask]) -> NDArray[np.float32]:
+        """(len(masks), dimensions); a mask without a caption is known by its label."""
+        return self._encoder.encode([mask.caption or mask.label for mask in masks])
