@@ -32,6 +32,9 @@ def run(*words: str | Path) -> int:
         ["ingest", "a", "b.mcap", "--origin", "1,2"],
         ["ingest", "a", "b.mcap", "--stride", "0"],
         ["ingest", "a", "b.mcap", "--start", "-1"],
+        ["perceive"],
+        ["perceive", "a.mcap", "b.mcap", "--out", "c.mcap"],
+        ["perceive", "a.mcap", "--frontend", "guess"],
         ["replay", "a.mcap", "--engine", "abacus"],
         ["replay", "a.mcap", "--preset", "best"],
         ["explain", "a.trace.mcap"],
@@ -168,3 +171,48 @@ def test_ingest_with_json_says_the_same_to_a_program(tmp_path: Path, capsys: pyt
     result = json.loads(capsys.readouterr().out)
     assert (result["frames"], result["first"], result["last"]) == (2, 0, 2)
     assert result["replaced"] is False
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tiny recording with ground truth."""
+    folder = tmp_path_factory.mktemp("cli")
+    assert run("ingest", write_scannet(folder / "scene", tiny_frames(4)), folder / "tiny.mcap") == 0
+    return folder / "tiny.mcap"
+
+
+def test_perceive_tells_what_it_found(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    out = tmp_path / "own.perception.mcap"
+    words = ("perceive", recording, "--frontend", "oracle", "--set", "oracle.min_pixels=1", "--out", out)
+    assert run(*words) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("4 frames looked at, ")
+    assert said.endswith(f"wrote {out}\nnext: openvox replay {recording}\n")
+    assert run(*words, "--json") == 0
+    again = json.loads(capsys.readouterr().out)
+    assert (again["frames"], again["reused"], again["output"]) == (4, 4, str(out))
+
+
+def test_of_several_recordings_one_that_fails_does_not_stop_the_others(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, missing = tmp_path / "good.mcap", tmp_path / "missing.mcap"
+    good.write_bytes(recording.read_bytes())
+    capsys.readouterr()
+    assert run("perceive", missing, good, "--frontend", "oracle", "--json") == 3
+    captured = capsys.readouterr()
+    first, second = json.loads(captured.out)["recordings"]
+    assert first == {"recording": str(missing), "error": f"there is no file {missing}"}
+    assert second["frames"] == 4
+    assert run("perceive", missing, good, "--frontend", "oracle") == 3
+    assert capsys.readouterr().err == f"openvox: there is no file {missing}\n"
+
+
+def test_an_unknown_parameter_names_the_nearest(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run("perceive", recording, "--set", "geometry.mln_pixels=3") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "did you mean geometry.min_pixels?" in captured.err
+    assert captured.err.count("\n") == 1

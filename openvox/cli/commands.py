@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from openvox import __version__
 from openvox.cli import options, tables
 from openvox.cli.progress import progress
+from openvox.core.errors import OpenvoxError
 
 app = typer.Typer(
     rich_markup_mode=None,  # plain help: quick, and the same text in docs/commands.md
@@ -84,15 +86,18 @@ def ingest(
 @app.command(
     epilog=_example(
         "openvox perceive living.mcap",
-        "openvox perceive living.mcap --detections my_detector.jsonl --out living.mine.perception.mcap",
+        "openvox perceive living.mcap --detections my_detector.jsonl",
+        "openvox perceive living.mcap office.mcap --set geometry.min_pixels=600",
     )
 )
 def perceive(
-    recording: options.Recording,
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings made by ingest.")],
     frontend: Annotated[
-        Literal["geometry", "oracle"],
-        typer.Option(help="geometry: regions from depth, no model; oracle: the recording's own ground truth."),
-    ] = "geometry",
+        Literal["geometry", "oracle"] | None,
+        typer.Option(
+            help="geometry: regions from depth, no model (the default); oracle: the recording's own ground truth."
+        ),
+    ] = None,
     detections: Annotated[
         Path | None, typer.Option(metavar="FILE.jsonl", help="Masks and captions of a front end of your own.")
     ] = None,
@@ -101,28 +106,46 @@ def perceive(
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
-    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Worker processes; the result is the same.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Threads; the result is the same.")] = 1,
     json: options.Json = False,
 ) -> None:
     """Find masks, captions and embeddings in every frame.
 
-    Once: what an earlier run did on the same frames in the same way is not done again.
+    Once: what an earlier run did on the same frames in the same way is not done again. With several recordings one
+    that fails does not stop the others; then the exit code is 3.
     """
+    if len(recordings) > 1 and (out or detections):
+        raise typer.BadParameter("--out and --detections belong to one recording; give one")
     from openvox.apps import perceive as application
 
-    result = application.perceive(
-        recording,
-        frontend=frontend,
-        detections=detections,
-        out=out,
-        assignments=assignments or [],
-        start=start,
-        end=end,
-        stride=stride,
-        jobs=jobs,
-        progress=progress("perceiving"),
-    )
-    tables.show(result, json, tables.pairs, "openvox", "replay", recording)
+    def work(recording: Path) -> Any:
+        return application.perceive(
+            recording,
+            frontend=frontend,
+            detections=detections,
+            out=out,
+            assignments=assignments or [],
+            start=start,
+            end=end,
+            stride=stride,
+            jobs=jobs,
+            progress=progress("perceiving"),
+        )
+
+    if len(recordings) == 1:
+        tables.show(work(recordings[0]), json, tables.perceive, "openvox", "replay", recordings[0])
+        return
+    results = [_attempt(recording, work) for recording in recordings]
+    tables.show({"recordings": results}, json, tables.perceive_several)
+    if any("error" in result for result in results):
+        raise typer.Exit(3)
+
+
+def _attempt(recording: Path, work: Callable[[Path], Any]) -> dict[str, Any]:
+    try:
+        return {"recording": str(recording), **tables.plain(work(recording))}
+    except OpenvoxError as error:
+        return {"recording": str(recording), "error": str(error)}
 
 
 @app.command(
@@ -210,7 +233,9 @@ def evaluate(
     """
     from openvox.apps import evaluate as application
 
-    result = application.evaluate(map_file, truth=truth, queries=queries, classes=classes)
+    result = application.evaluate(
+        map_file, truth=truth, queries=queries, classes=classes, progress=progress("rendering")
+    )
     tables.show(result, json, tables.evaluate, "openvox", "query", map_file, "somewhere to sit")
 
 

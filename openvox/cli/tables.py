@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 import shlex
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -102,10 +103,35 @@ def ingest(data: Data) -> None:
     )
     for reason, count in data["dropped"].items():
         print(f"left out: {count} frames ({reason})")
-    for note in data["notes"]:
-        print(f"note: {_cell(note)}")
+    _notes(data)
     print(f"recording digest {data['digest']}")
     _wrote(data["output"], data["replaced"])
+
+
+def perceive(data: Data) -> None:
+    """What was found, and what was there already."""
+    kinds = ", ".join(f"{count} {kind}s" for kind, count in data["kinds"].items())
+    again = f", {data['reused']} of them from an earlier run" if data["reused"] else ""
+    print(
+        f"{data['frames']} frames looked at{again}, {data['masks']} masks ({kinds or 'none'}), "
+        f"{data['seconds']:.1f} s, captions encoded by {data['encoder']}"
+    )
+    _notes(data)
+    _wrote(data["output"])
+
+
+def perceive_several(data: Data) -> None:
+    """The same for each of several recordings, or why one failed."""
+    for result in data["recordings"]:
+        if "error" in result:
+            print(f"openvox: {result['error']}", file=sys.stderr)
+        else:
+            perceive(result)
+
+
+def _notes(data: Data) -> None:
+    for note in data["notes"]:
+        print(f"note: {_cell(note)}")
 
 
 def _wrote(path: str, replaced: bool = False) -> None:
@@ -153,11 +179,10 @@ LABELLINGS = ("instances", "instances_in_voxel", "instances_authors_rule")
 
 def evaluate(data: Data) -> None:
     """The scores, and by name the objects that were split, merged or missed."""
-    scored = [name for name in LABELLINGS if data.get(name)]
-    _print_table(["labels", *MEASURES], [[name, *(data[name].get(m) for m in MEASURES)] for name in scored])
-    counts = data.get("instances") or {}
-    print("  ".join(f"{name} {counts.get(name)}" for name in ("predicted", "true", "split", "merged", "missed")))
-    troubled = [o for o in data.get("objects") or [] if o["missed"] or o["merged_with"] or len(o["split_into"]) > 1]
+    _print_table(["labels", *MEASURES], [[name, *(data[name][m] for m in MEASURES)] for name in LABELLINGS])
+    counts = data["instances"]
+    print("  ".join(f"{name} {counts[name]}" for name in ("predicted", "true", "split", "merged", "missed")))
+    troubled = [o for o in data["objects"] if o["missed"] or o["merged_with"] or len(o["split_into"]) > 1]
     if troubled:
         _print_table(
             ["id", "object", "best IoU", "split into", "merged with", "missed"],
@@ -165,9 +190,10 @@ def evaluate(data: Data) -> None:
             "objects split, merged or missed",
         )
     for name in ("calibration", "rendered_masks", "semantics"):
-        print(f"{name.replace('_', ' ')}  {_cell(data.get(name))}")
-    for kind, found in (data.get("retrieval") or {}).items():
+        print(f"{name.replace('_', ' ')}  {_cell(data[name])}")
+    for kind, found in (data["retrieval"] or {}).items():
         print(f"retrieval {kind}  {_cell(found)}")
+    _notes(data)
 
 
 def explain(data: Data) -> None:
