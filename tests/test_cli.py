@@ -7,12 +7,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from maps import labelled_map
 from worlds import tiny_frames, write_scannet
 
 from openvox import __version__
 from openvox.cli import main, options, progress, tables
 from openvox.core.errors import InputError
+from openvox.formats.map_npz import write_map
+from openvox.perception.encoder import encoder
 
 
 def run(*words: str | Path) -> int:
@@ -216,3 +220,39 @@ def test_an_unknown_parameter_names_the_nearest(recording: Path, capsys: pytest.
     assert captured.out == ""
     assert "did you mean geometry.min_pixels?" in captured.err
     assert captured.err.count("\n") == 1
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    """A map of two voxels, a chair and a cup, with features of the bundled encoder."""
+    words = encoder("minilm").encode(["a chair", "a cup"])
+    index = np.array([[0, 0, 0], [5, 0, 0]], np.int32)
+    result = labelled_map(
+        index,
+        np.array([1, 2], np.int32),
+        captions={1: "a chair", 2: "a cup"},
+        features={1: words[0], 2: words[1]},
+        meta={"encoder": "minilm"},
+    )
+    write_map(tmp_path / "two.map.npz", result)
+    return tmp_path / "two.map.npz"
+
+
+def test_query_answers_each_text_best_first(map_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("query", map_file, "somewhere to sit", "something to drink from", "--json") == 0
+    sit, drink = json.loads(capsys.readouterr().out)["queries"]
+    assert [answer["caption"] for answer in sit["answers"]] == ["a chair", "a cup"]
+    assert [answer["caption"] for answer in drink["answers"]] == ["a cup", "a chair"]
+    assert run("query", map_file, "somewhere to sit", "--top", "1") == 0
+    out = capsys.readouterr().out
+    assert "'somewhere to sit'" in out
+    assert "a chair" in out
+    assert "a cup" not in out
+
+
+def test_export_says_what_it_wrote(map_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = map_file.with_name("two.csv")
+    assert run("export", map_file, out) == 0
+    assert capsys.readouterr().out == f"2 instances, 2 voxels\nwrote {out}\n"
+    assert run("export", map_file, out.with_suffix(".obj")) == 1
+    assert capsys.readouterr().err.startswith(f"openvox: {out.with_suffix('.obj')} ends in .obj; expected ")

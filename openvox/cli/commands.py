@@ -257,13 +257,15 @@ def explain(
 @app.command(epilog=_example("openvox export living.map.npz living.ply", "openvox export living.map.npz living.csv"))
 def export(
     map_file: options.MapFile,
-    out: Annotated[Path, typer.Argument(metavar="OUT.{ply,csv}", help="ply: coloured points; csv: a row an instance.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT.{ply,csv,jsonl}", help="ply: coloured points; csv, jsonl: a row an instance.")
+    ],
     json: options.Json = False,
 ) -> None:
     """Write a map for other programs; the ending says how."""
     from openvox.apps import export as application
 
-    tables.show(application.export(map_file, out), json, tables.pairs)
+    tables.show(application.export(map_file, out), json, tables.export)
 
 
 @app.command(epilog=_example("openvox info living.mcap", "openvox info --parameters"))

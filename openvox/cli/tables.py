@@ -160,8 +160,8 @@ def replay(data: Data) -> None:
 def query(data: Data) -> None:
     """The answers of each text, best first."""
     for asked in data["queries"]:
-        if not asked["answers"]:
-            print(f"{asked['text']!r}: nothing found")
+        if not asked["found"]:
+            print(f"{asked['text']!r}: the map has no instances")
             continue
         _print_table(
             ["instance", "caption", "score", "center (m)", "voxels"],
@@ -169,8 +169,14 @@ def query(data: Data) -> None:
                 [a["instance"], a["caption"], a["score"], [f"{x:.2f}" for x in a["center"]], a["voxels"]]
                 for a in asked["answers"]
             ],
-            repr(asked["text"]) + ("" if asked["found"] else " (nothing fits well)"),
+            repr(asked["text"]),
         )
+
+
+def export(data: Data) -> None:
+    """How much was written, and where."""
+    print(f"{data['instances']} instances, {data['voxels']} voxels")
+    _wrote(data["output"], data["replaced"])
 
 
 MEASURES = ("ap", "ap50", "ap25", "f50", "miou", "spill", "missed_share", "wrong_share")
