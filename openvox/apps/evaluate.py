@@ -16,6 +16,7 @@ from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.scoring.rendered import perception_of, score_rendered
 from openvox.apps.scoring.semantics import Encoder, read_classes, recalls, retrieve, score_semantics
+from openvox.apps.words import encoder_of
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
 from openvox.formats.map_npz import read_map
@@ -88,18 +89,10 @@ def _confidence(rows: NDArray[np.int64], result: InstanceMap) -> NDArray[np.floa
 
 def _encoder(result: InstanceMap) -> tuple[Encoder | None, str]:
     """What turns words into vectors like the map's features; else why there is none, in words."""
-    from openvox.perception.encoder import encoder  # a model
-
-    name = result.meta.get("encoder")
-    if not isinstance(name, str) or not name:
-        return None, "the map has no embeddings"
     try:
-        found = encoder(name)
+        return encoder_of(result), ""
     except InputError as error:
         return None, str(error)
-    if len(result.instance_id) and found.dimensions != result.feature.shape[1]:
-        return None, f"the map's features have {result.feature.shape[1]} numbers, {name}'s vectors {found.dimensions}"
-    return found, ""
 
 
 def _words(
