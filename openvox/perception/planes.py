@@ -92,15 +92,21 @@ def _samples(surfaces: Iterable[tuple[Frame, Surface]]) -> tuple[Points, Points,
     return all_points[first], all_normals[first], up
 
 
-def _upright(normals: Points, start: Points) -> Points:
-    """Up: the mean of the normals near the cameras' mean upward axis, found again from itself in narrowing cones."""
-    up = _unit(start)
-    for cone in (0.9, 0.9, 0.9, 0.95, 0.95, 0.98, 0.98, 0.98):
-        near = normals[_along(normals, up) > cone]
-        if not len(near):
-            break
-        up = _unit(near.sum(0))
-    return up
+def _upright(normals: Points, cameras: Points) -> Points:
+    """Up: where most surfaces face, of the cameras' mean upward axis and the world's axes near it.
+
+    Each is moved to the mean of the normals near it, in narrowing cones."""
+    start = _unit(cameras)
+    axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    best, most = start, -1
+    for up in [start, *(axis for axis in axes if float((axis * start).sum()) > 0.7)]:
+        near = normals[_along(normals, up) > 0.9]
+        for cone in (0.9, 0.9, 0.95, 0.95, 0.98, 0.98, 0.98):
+            up = _unit(near.sum(0)) if len(near) else up
+            near = normals[_along(normals, up) > cone]
+        if len(near) > most:
+            best, most = up, len(near)
+    return best
 
 
 def _horizontal_directions(points: Points, normals: Points, up: Points, min_area: float) -> list[Points]:

@@ -46,8 +46,8 @@ def surface(depth: DepthImage, camera: Intrinsics, near: float, far: float) -> S
 
 def depth_in_metres(depth: DepthImage, near: float, far: float) -> Floats:
     """(height, width), 0 where there is no measurement between `near` and `far`."""
-    z = depth.astype(np.float32) * np.float32(0.001)
-    return np.where((z >= near) & (z <= far), z, np.float32(0))
+    inside = (depth >= round(near * 1000)) & (depth <= round(far * 1000)) & (depth > 0)
+    return np.where(inside, depth.astype(np.float32) * np.float32(0.001), np.float32(0))
 
 
 def phases(image: NDArray[Any], step: int) -> dict[tuple[int, int], NDArray[Any]]:
