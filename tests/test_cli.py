@@ -256,3 +256,22 @@ def test_export_says_what_it_wrote(map_file: Path, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out == f"2 instances, 2 voxels\nwrote {out}\n"
     assert run("export", map_file, out.with_suffix(".obj")) == 1
     assert capsys.readouterr().err.startswith(f"openvox: {out.with_suffix('.obj')} ends in .obj; expected ")
+
+
+def test_info_lists_every_parameter_with_its_reason(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("info", "--parameters") == 0
+    out = capsys.readouterr().out
+    assert "openvox replay --set" in out
+    assert "association.threshold" in out
+    assert "geometry.min_pixels" in out
+    assert run("info", "--parameters", "--json") == 0
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["parameters"]}
+    assert rows["masks.min_pixels"]["range"] == "0 .. 1000000"
+
+
+def test_info_tells_the_kind_of_a_file(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run("info", recording) == 0
+    assert capsys.readouterr().out.startswith("kind             recording\n")
+    assert run("info", __file__) == 1
+    assert "expected a recording, perception or trace (MCAP), or a map (npz)" in capsys.readouterr().err

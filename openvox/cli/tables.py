@@ -56,9 +56,13 @@ def _print_table(columns: Sequence[str], rows: Iterable[Sequence[Any]], title: s
     for row in cells:
         table.add_row(*(Text(_cell(value)) for value in row))
     console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = 140  # a file or a pipe has no edge to wrap at, 80 would cut captions
-    console.print(table)
+    if console.is_terminal:
+        console.print(table)
+        return
+    console.width = 140  # a file or a pipe has no edge to wrap at; 80 would cut captions
+    with console.capture() as printed:
+        console.print(table)
+    print("\n".join(line.rstrip() for line in printed.get().splitlines()))
 
 
 def _cell(value: Any) -> str:
@@ -208,8 +212,16 @@ def explain(data: Data) -> None:
 
 
 def parameters(data: Data) -> None:
-    """Every parameter with unit, range, default and reason."""
-    _print_table(
-        ["parameter", "default", "unit", "range", "why"],
-        [[row["name"], str(row["default"]), row["unit"], row["range"], row["why"]] for row in data["parameters"]],
-    )
+    """Every parameter with unit, range, default and reason, by the command whose --set takes it."""
+    for command in dict.fromkeys(row["command"] for row in data["parameters"]):
+        rows = [row for row in data["parameters"] if row["command"] == command]
+        _print_table(
+            ["parameter", "default", "unit", "range", "why"],
+            [[row["name"], _setting(row["default"]), row["unit"], row["range"], row["why"]] for row in rows],
+            f"openvox {command} --set",
+        )
+
+
+def _setting(value: Any) -> str:
+    """As one would type it."""
+    return str(value).lower() if isinstance(value, bool) else str(value)

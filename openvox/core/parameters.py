@@ -57,7 +57,7 @@ class Description:
             return " | ".join(self.choices)
         if isinstance(self.default, bool):
             return "true | false"
-        return f"{self.low:g} .. {self.high:g}" if self.low is not None and self.high is not None else ""
+        return f"{self.low:.15g} .. {self.high:.15g}" if self.low is not None and self.high is not None else ""
 
 
 def describe(parameters: Any) -> list[Description]:
