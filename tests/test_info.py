@@ -85,11 +85,15 @@ def test_what_is_none_of_ours_is_one_sentence(tmp_path: Path) -> None:
             info(tmp_path / name)
 
 
-def test_a_recording_with_topics_of_others_is_still_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("topics", "kind"),
+    [(["/rosout", "/camera/depth", "chatter"], "recording"), (["/mapper/decisions", "/mapper/events"], "trace")],
+)
+def test_topics_of_others_do_not_matter(tmp_path: Path, topics: list[str], kind: str) -> None:
     with McapWriter(tmp_path / "a.mcap") as writer:
-        for name in ("/rosout", "/camera/depth", "chatter"):
+        for name in topics:
             writer.add(Topic(name, "json", "", "", b""), 0, 0, b"{}")
-    assert kind_of(tmp_path / "a.mcap") == "recording"
+    assert kind_of(tmp_path / "a.mcap") == kind
 
 
 def test_all_parameters_are_listed_with_unit_range_and_reason() -> None:
