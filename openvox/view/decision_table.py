@@ -1,0 +1,75 @@
+"""This frame's decisions as a table for people and as columns for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from openvox.core.fixedpoint import Q20
+from openvox.core.types import Decision, Mask, Step
+from openvox.view.labels import shortened
+
+Q12 = 1 << 12
+CAPTION = 26
+"""Letters of a caption in the table; the whole one is in the data."""
+NONE = "-"
+HEAD = "| mask | caption | instance | decided by | A / threshold | S_geo | S_fea | next best (A) | R | w |"
+RULE = "|---:|:---|---:|:---|---:|---:|---:|---:|---:|---:|"
+LEGEND = (
+    "S_geo, S_fea: similarity of mask and instance in space and in words; A: the probability that they belong "
+    "together; next best: the best other candidate; R: visibility ratio; w: credibility of this observation."
+)
+
+
+def markdown(step: Step) -> str:
+    """A table, one row a mask: where it went, the rule that decided, its scores, and the best other candidate."""
+    title = f"### Frame {step.frame.index}\n\n"
+    if not step.looked:
+        return title + "Perception did not look at this frame; the map is unchanged.\n"
+    if not step.decisions:
+        return title + "Perception found no mask in this frame.\n"
+    rows = [_row(decision, step.masks[decision.mask]) for decision in step.decisions]
+    return title + "\n".join([HEAD, RULE, *rows]) + f"\n\n{LEGEND}\n"
+
+
+def _row(decision: Decision, mask: Mask) -> str:
+    joined = decision.instance != 0 and decision.by != "new"
+    s_geo, s_fea, a = (
+        f"{value / Q20:.2f}" if joined else NONE for value in (decision.s_geo, decision.s_fea, decision.a)
+    )
+    others = [candidate for candidate in decision.candidates if candidate.instance != decision.instance]
+    cells = [
+        str(decision.mask),
+        _escaped(shortened(mask.caption or mask.label, CAPTION)),
+        f"**{decision.instance}**" if decision.instance else NONE,
+        decision.by,
+        f"{a} / {decision.threshold / Q20:.2f}",
+        s_geo,
+        s_fea,
+        f"{others[0].instance} ({others[0].a / Q20:.2f})" if others else NONE,
+        f"{decision.visibility / Q20:.2f}" if decision.instance else NONE,
+        f"{decision.credibility / Q12:.2f}" if decision.instance else NONE,
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text that Markdown shows as it is."""
+    return "".join(f"\\{letter}" if letter in "\\`*_[]<>|#&~" else letter for letter in text)
+
+
+def columns(step: Step) -> Mapping[str, Any]:
+    """Name to one value a decision: numbers as they are, scores and credibility as exact float64 (not Q20, Q12)."""
+    decisions = step.decisions
+    masks = [step.masks[decision.mask] for decision in decisions]
+    scores = ("s_geo", "s_fea", "a", "threshold", "visibility")
+    counts = ("mask", "instance", "fragment", "voxels", "abstained")
+    return {
+        **{name: np.array([getattr(decision, name) for decision in decisions], np.int32) for name in counts},
+        "caption": [mask.caption for mask in masks],
+        "by": [decision.by for decision in decisions],
+        **{name: np.array([getattr(decision, name) / Q20 for decision in decisions], np.float64) for name in scores},
+        "credibility": np.array([decision.credibility / Q12 for decision in decisions], np.float64),
+    }

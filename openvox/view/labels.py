@@ -1,0 +1,95 @@
+"""Masks and instances as label images with names: what the pictures on screen and on paper have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.colors import instance_color
+from openvox.core.types import Mask, Step
+
+NOTHING = -1
+UNASSIGNED = (160, 160, 160)
+"""Colour of a mask that went to no instance."""
+BACKGROUND = (70, 72, 78)
+"""Colour of voxels that belong to no instance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Label:
+    """What one value of a label image stands for."""
+
+    text: str
+    color: tuple[int, int, int]
+
+
+def mask_image(masks: Sequence[Mask], height: int, width: int) -> NDArray[np.int32]:
+    """Number of the smallest mask at each colour pixel (the lower number among equals), -1 = none."""
+    image = np.full((height, width), NOTHING, np.int32)
+    for number in sorted(range(len(masks)), key=lambda number: (-masks[number].area, -number)):
+        x0, y0, x1, y1 = masks[number].box
+        image[y0:y1, x0:x1][masks[number].crop()] = number
+    return image
+
+
+def detected_labels(masks: Sequence[Mask], instance_of: Mapping[int, int]) -> dict[int, Label]:
+    """Number of each mask to its caption, in the colour of its instance. instance_of: by mask, 0 or absent = none."""
+    labels = {}
+    for number, mask in enumerate(masks):
+        instance = instance_of.get(number, 0)
+        caption = mask.caption or mask.label
+        labels[number] = Label(
+            f"mask {number}: {caption} → {instance or 'nothing'}", instance_color(instance) if instance else UNASSIGNED
+        )
+    return labels
+
+
+def instance_labels(instances: Sequence[int], caption_of: Callable[[int], str]) -> dict[int, Label]:
+    """Id of each instance (0 = background) to its caption and colour."""
+    return {
+        instance: Label(f"{instance}: {caption_of(instance)}", instance_color(instance))
+        if instance
+        else Label("background", BACKGROUND)
+        for instance in instances
+    }
+
+
+def present(image: NDArray[np.int32]) -> list[int]:
+    """The values >= 0 in an image, ascending."""
+    return np.flatnonzero(np.bincount(image.ravel() + 1)[1:]).tolist()
+
+
+def shortened(text: str, length: int) -> str:
+    """The text on one line, cut with an ellipsis after so many characters."""
+    line = " ".join(text.split())
+    return line if len(line) <= length else line[: length - 1].rstrip() + "…"
+
+
+class Captions:
+    """Which caption each instance was given most often so far (the first in the alphabet among equals)."""
+
+    def __init__(self) -> None:
+        self._counts: dict[int, dict[str, int]] = {}
+
+    def add(self, step: Step) -> None:
+        """Count the captions of this frame's masks; instances that merged share theirs."""
+        for instance in sorted(self._counts):
+            target = step.instance_of.get(instance, instance)
+            if target != instance:
+                for caption, count in self._counts.pop(instance).items():
+                    self._count(target, caption, count)
+        for decision in step.decisions:
+            if decision.instance and step.masks[decision.mask].caption:
+                self._count(decision.instance, step.masks[decision.mask].caption, 1)
+
+    def of(self, instance: int) -> str:
+        """The caption, or nothing if no mask had one."""
+        counts = self._counts.get(instance, {})
+        return min(counts, key=lambda caption: (-counts[caption], caption), default="")
+
+    def _count(self, instance: int, caption: str, count: int) -> None:
+        counts = self._counts.setdefault(instance, {})
+        counts[caption] = counts.get(caption, 0) + count
