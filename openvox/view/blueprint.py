@@ -2,12 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import rerun.blueprint as rrb
 
+from openvox.core.types import InstanceMap, Intrinsics
 from openvox.view import entities
+from openvox.view.viewpoint import best_azimuth, centres, from_above
+
+VIEW = Intrinsics(500, 750, 720.0, 720.0, 249.5, 374.5)
+"""About the 3D view in a window of 1600 x 900, with the viewer's angle of 55 degrees."""
 
 
-def blueprint() -> rrb.Blueprint:
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """Where the 3D views look from and to, metres, world."""
+
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+
+
+def overview(result: InstanceMap) -> Eye:
+    """A place above the finished map from which all instances are seen."""
+    instances = result.voxel_instance > 0
+    points = centres(result.voxel_index[instances], result.voxel_size)
+    azimuth = best_azimuth(result, lambda _map, _azimuth: instances)
+    eye = from_above(points, VIEW, azimuth)[:3, 3]
+    middle = (points.min(0) + points.max(0)) / 2
+    return Eye((float(eye[0]), float(eye[1]), float(eye[2])), (float(middle[0]), float(middle[1]), float(middle[2])))
+
+
+def blueprint(eye: Eye | None = None) -> rrb.Blueprint:
     """3D map | detected above rendered masks | this frame's decisions above events and curves; panels collapsed."""
     pictures = rrb.Vertical(
         rrb.Spatial2DView(
@@ -24,28 +49,29 @@ def blueprint() -> rrb.Blueprint:
         ),
         row_shares=[3, 2],
     )
+    maps = rrb.Tabs(
+        _spatial("Map, coloured by instance", f"- {entities.CONFIDENCE}/**", eye),
+        _spatial("Map, coloured by confidence", f"- {entities.INSTANCES}/**", eye),
+    )
     return rrb.Blueprint(
-        rrb.Horizontal(rrb.Tabs(_map(), _confidence()), pictures, numbers, column_shares=[5, 4, 7]),
+        rrb.Horizontal(maps, pictures, numbers, column_shares=[5, 4, 7]),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def _map() -> rrb.Spatial3DView:
-    return _spatial("Map, coloured by instance", f"- {entities.CONFIDENCE}/**")
-
-
-def _confidence() -> rrb.Spatial3DView:
-    return _spatial("Map, coloured by confidence", f"- {entities.INSTANCES}/**")
-
-
-def _spatial(name: str, without: str) -> rrb.Spatial3DView:
+def _spatial(name: str, without: str, eye: Eye | None) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
         contents=[f"+ {entities.WORLD}/**", without, f"+ {entities.DETECTED}/**"],
         name=name,
         overrides={entities.TRAJECTORY: _from_the_start()},
+        eye_controls=None
+        if eye is None
+        else rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
+        ),
     )
 
 

@@ -12,13 +12,13 @@ from openvox.core.types import Decision, Mask, Step
 from openvox.view.labels import shortened
 
 Q12 = 1 << 12
-CAPTION = 26
+CAPTION = 25
 """Letters of a caption in the table; the whole one is in the data."""
 NONE = "-"
-HEAD = "| mask | caption | instance | decided by | A / threshold | S_geo | S_fea | next best (A) | R | w |"
+HEAD = "| # | caption | instance | decided by | A / threshold | S_geo | S_fea | next best (A) | R | w |"
 RULE = "|---:|:---|---:|:---|---:|---:|---:|---:|---:|---:|"
 LEGEND = (
-    "S_geo, S_fea: similarity of mask and instance in space and in words; A: the probability that they belong "
+    "#: mask; S_geo, S_fea: similarity of mask and instance in space and in words; A: the probability that they belong "
     "together; next best: the best other candidate; R: visibility ratio; w: credibility of this observation."
 )
 

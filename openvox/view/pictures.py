@@ -16,16 +16,15 @@ from openvox.formats.atomic import partial_file
 from openvox.formats.images import decode_color
 from openvox.view.labels import UNASSIGNED, mask_image, shortened
 from openvox.view.lettering import HALO, Note, annotate, write
-from openvox.view.render import NOTHING, render_map, render_rows, take_rows
+from openvox.view.render import NOTHING, render_rows, take_rows
 from openvox.view.shading import lit
-from openvox.view.viewpoint import from_above, world_from_color
+from openvox.view.viewpoint import best_azimuth, centres, from_above, narrow_camera, world_from_color
 
 Picture = NDArray[np.uint8]
 """(height, width, 3), RGB."""
 PAPER = (250, 250, 248)
 STRUCTURE = (222, 221, 217)
 """Voxels of no instance: walls and floor, and what was not detected."""
-AZIMUTHS = 8
 NOTES = 18
 FLOOR_METRES = 0.15
 """Background up to here above the floor stays on the near side, where walls would hide the room."""
@@ -42,11 +41,11 @@ def draw_map(result: InstanceMap, out: Path, *, width: int = 1280, height: int =
 
     Raises OutputError where the file cannot be written.
     """
-    camera = _narrow_camera(2 * width, 2 * height)
-    azimuth = _best_azimuth(result)
+    camera = narrow_camera(2 * width, 2 * height)
+    azimuth = best_azimuth(result, _cutaway)
     kept = _cutaway(result, azimuth)
     index, instances = result.voxel_index[kept], result.voxel_instance[kept]
-    pose = from_above(_centres(index, result.voxel_size), camera, azimuth)
+    pose = from_above(centres(index, result.voxel_size), camera, azimuth)
     picture, labels = _view(index, instances, result.voxel_size, pose, camera, PAPER)
     picture = np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     annotate(picture, _notes(labels[::2, ::2], _captions(result)), scale=0.5)
@@ -87,31 +86,6 @@ def _view(
     palette = np.array([instance_color(i) if i > 0 else STRUCTURE for i in ids.tolist()], np.uint8).reshape(-1, 3)
     colors = np.concatenate([palette[place], np.array([empty], np.uint8)])[rows]  # row -1 is the last one
     return (lit(colors, rows, index, labels, voxel_size, pose, camera) if len(index) else colors), labels
-
-
-def _narrow_camera(width: int, height: int) -> Intrinsics:
-    """With a long lens, so that parallel edges stay nearly parallel."""
-    return Intrinsics(width, height, 1.8 * width, 1.8 * width, (width - 1) / 2, (height - 1) / 2)
-
-
-def _centres(index: NDArray[np.int32], voxel_size: float) -> NDArray[np.float64]:
-    """Middles of voxels, metres; of an empty map, the origin."""
-    return np.asarray((index + 0.5) * voxel_size, np.float64) if len(index) else np.zeros((1, 3))
-
-
-def _best_azimuth(result: InstanceMap) -> float:
-    """The side from which most is seen, of many instances rather than of one; the first among equals."""
-    camera = _narrow_camera(160, 100)
-    seen = []
-    for turn in range(AZIMUTHS):
-        azimuth = 2 * math.pi * (turn + 0.4) / AZIMUTHS  # not along the walls
-        kept = _cutaway(result, azimuth)
-        index = result.voxel_index[kept]
-        pose = from_above(_centres(index, result.voxel_size), camera, azimuth)
-        labels = render_map(index, result.voxel_instance[kept], result.voxel_size, pose, camera)
-        pixels = np.unique(labels[labels > 0], return_counts=True)[1]
-        seen.append((float(np.sqrt(pixels).sum()), -turn, azimuth))
-    return max(seen)[2]
 
 
 def _cutaway(result: InstanceMap, azimuth: float) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from openvox.core.colors import instance_color
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Step
 from openvox.formats.atomic import partial_file
 from openvox.view import decision_table, entities
-from openvox.view.blueprint import blueprint
+from openvox.view.blueprint import blueprint, overview
 from openvox.view.labels import Captions, Label, detected_labels, instance_labels, mask_image, present
 from openvox.view.live_map import Change, LiveMap
 from openvox.view.redraw import Redraw
@@ -86,6 +86,7 @@ class RerunObserver:
         with self._file:
             if self._frame is not None:
                 self._log_finished(result, self._frame)
+                self._recording.send_blueprint(blueprint(overview(result)), make_active=False)
             self._recording.flush()
             self._recording.disconnect()
             _check_whole(self._partial)

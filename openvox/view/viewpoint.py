@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.core.types import Frame, Intrinsics
+from openvox.core.types import Frame, InstanceMap, Intrinsics
+from openvox.view.render import render_map
 
 Points = NDArray[np.float64]
 """(n, 3), metres, world."""
+Shown = Callable[[InstanceMap, float], NDArray[np.bool_]]
+AZIMUTHS = 8
 ELEVATION = math.radians(40)
 FILL = 0.45
 """Half of the picture's sides that may be filled."""
@@ -20,6 +24,34 @@ def world_from_color(frame: Frame) -> NDArray[np.float64]:
     """(4, 4) camera-to-world pose of the frame's colour camera."""
     pose: NDArray[np.float64] = frame.world_from_depth.matrix() @ frame.rig.depth_from_color.matrix()
     return pose
+
+
+def narrow_camera(width: int, height: int) -> Intrinsics:
+    """With a long lens, so that parallel edges stay nearly parallel."""
+    return Intrinsics(width, height, 1.8 * width, 1.8 * width, (width - 1) / 2, (height - 1) / 2)
+
+
+def centres(index: NDArray[np.int32], voxel_size: float) -> Points:
+    """Middles of voxels, metres; the origin if there are none."""
+    return np.asarray((index + 0.5) * voxel_size, np.float64) if len(index) else np.zeros((1, 3))
+
+
+def best_azimuth(result: InstanceMap, shown: Shown) -> float:
+    """The side from which most is seen, of many instances rather than of one; the first among equals.
+
+    shown: what of the map is drawn from an azimuth.
+    """
+    camera = narrow_camera(160, 100)
+    seen = []
+    for turn in range(AZIMUTHS):
+        azimuth = 2 * math.pi * (turn + 0.4) / AZIMUTHS  # not along the walls
+        kept = shown(result, azimuth)
+        index = result.voxel_index[kept]
+        pose = from_above(centres(index, result.voxel_size), camera, azimuth)
+        labels = render_map(index, result.voxel_instance[kept], result.voxel_size, pose, camera)
+        pixels = np.unique(labels[labels > 0], return_counts=True)[1]
+        seen.append((float(np.sqrt(pixels).sum()), -turn, azimuth))
+    return max(seen)[2]
 
 
 def from_above(points: Points, camera: Intrinsics, azimuth: float) -> NDArray[np.float64]:
@@ -32,17 +64,17 @@ def from_above(points: Points, camera: Intrinsics, azimuth: float) -> NDArray[np
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
     local = points @ rotation
-    eye = np.array([*_centre(local[:, :2]), local[:, 2].min() - 1.0])
+    eye = np.array([*_middle(local[:, :2]), local[:, 2].min() - 1.0])
     for _ in range(4):  # how far away depends on the centre, and the centre on perspective
         aside = np.abs(local[:, :2] - eye[:2]) * (camera.fx / (FILL * camera.width), camera.fy / (FILL * camera.height))
         eye[2] = (local[:, 2] - aside.max(1)).min()
         depth = (local[:, 2] - eye[2])[:, None]
-        eye[:2] += _centre((local[:, :2] - eye[:2]) / depth) * float(depth.mean())
+        eye[:2] += _middle((local[:, :2] - eye[:2]) / depth) * float(depth.mean())
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, rotation @ eye
     return pose
 
 
-def _centre(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    centre: NDArray[np.float64] = (points.min(0) + points.max(0)) / 2
-    return centre
+def _middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    middle: NDArray[np.float64] = (points.min(0) + points.max(0)) / 2
+    return middle
