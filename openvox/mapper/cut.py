@@ -1,0 +1,117 @@
+"""What masks of one frame say about fragments: cut what lies under two of them, count who lies with whom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core import fixedpoint
+from openvox.core.mapper_parameters import LifecycleParameters, MapperParameters
+from openvox.core.types import Mask
+from openvox.mapper.associate import Association
+from openvox.mapper.engines.cpu import common_pixels
+from openvox.mapper.evidence import Evidence
+
+MIN_CUT = 5
+"""Voxels that must lie on either side of a cut."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """`fragment` lies under two masks; what lies under `mask` goes, what lies under `keeper` stays."""
+
+    fragment: int
+    keeper: int
+    mask: int
+
+
+class Nesting:
+    """Whether two masks of a frame are nested: their common pixels are at least a share of the smaller one."""
+
+    def __init__(self, masks: Sequence[Mask | None], share: float) -> None:
+        self._masks = masks
+        self._share = fixedpoint.millionths(share)
+        self._known: dict[tuple[int, int], bool] = {}
+
+    def __call__(self, a: int, b: int) -> bool:
+        """True if masks a and b of the frame are nested."""
+        key = (min(a, b), max(a, b))
+        if key not in self._known:
+            first, second = self._masks[a], self._masks[b]
+            assert first is not None
+            assert second is not None
+            smaller = min(first.area, second.area)
+            self._known[key] = fixedpoint.MILLION * common_pixels(first, second) >= self._share * smaller
+        return self._known[key]
+
+
+def cuts(
+    masks: Sequence[Mask | None],
+    associations: Sequence[Association],
+    voxels: NDArray[np.int64],
+    columns: NDArray[np.int32],
+    overlap: NDArray[np.int64],
+    nesting: Nesting,
+    parameters: MapperParameters,
+) -> list[Cut]:
+    """The cuts that this frame asks for, by fragment, then by mask.
+
+    voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks with enough of the fragment,
+    the largest keeps it; every other one that is mostly this fragment and not nested with the keeper takes its part."""
+    share = fixedpoint.millionths(parameters.evolution.cut_share)
+    able = [
+        m
+        for m, mask in enumerate(masks)
+        if mask is not None and associations[m].main and (mask.kind != "region" or not parameters.lifecycle.kinds)
+    ]
+    out = []
+    for column, fragment in enumerate(columns.tolist()):
+        common = overlap[:, column].tolist()
+        least = max(MIN_CUT * fixedpoint.MILLION, share * sum(common[:-1]))
+        under = [m for m in able if fixedpoint.MILLION * common[m] >= least]
+        if len(under) < 2:
+            continue
+        keeper = max(under, key=lambda m: (int(voxels[m]), -m))
+        out += [
+            Cut(fragment, keeper, m)
+            for m in under
+            if m != keeper and 2 * common[m] >= int(voxels[m]) and not nesting(m, keeper)
+        ]
+    return out
+
+
+def count_pairs(
+    masks: Sequence[Mask | None],
+    associations: Sequence[Association],
+    nesting: Nesting,
+    evidence: Evidence,
+    parameters: LifecycleParameters,
+) -> None:
+    """Fragments in one mask were seen together, fragments in different masks apart."""
+    kinds = ["" if mask is None or not parameters.kinds else mask.kind for mask in masks]
+    mixed = "region" in kinds
+    holders: dict[int, list[int]] = {}
+    for one in associations:
+        for f in sorted(one.held):
+            holders.setdefault(f, []).append(one.mask)
+    fragments = sorted(holders)
+    for i, f in enumerate(fragments):
+        for g in fragments[i + 1 :]:
+            both = [m for m in holders[f] if m in holders[g]]
+            if both:
+                evidence.add_together(f, g, max(6 if mixed and kinds[m] == "object" else 2 for m in both))
+                continue
+            apart = max(_contradiction(a, b, kinds, nesting) for a in holders[f] for b in holders[g])
+            if apart:
+                evidence.add_apart(f, g, apart)
+
+
+def _contradiction(a: int, b: int, kinds: Sequence[str], nesting: Nesting) -> int:
+    """How much two masks say that what they hold is two things: 2, half if nested, twice if split off a support."""
+    if kinds[a] == kinds[b] == "region":
+        return 0
+    amount = 1 if nesting(a, b) else 2
+    return 2 * amount if "support" in (kinds[a], kinds[b]) else amount

@@ -1,0 +1,79 @@
+"""The life of instances: when one is confirmed, merged into another, or split."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from openvox.core import fixedpoint
+from openvox.core.mapper_parameters import FinishParameters
+from openvox.core.types import Event
+from openvox.mapper.codebook import Fragment, Memory, memory_of
+
+
+def exists(memory: Memory, voxels: int, parameters: FinishParameters) -> bool:
+    """Whether enough frames matched an object, of those that saw it, and it is large enough."""
+    if not parameters.existence:
+        return True
+    share = fixedpoint.millionths(parameters.min_share)
+    return (
+        memory.matched >= parameters.min_frames
+        and fixedpoint.MILLION * memory.matched >= share * memory.seen
+        and voxels >= parameters.min_voxels
+    )
+
+
+def members_of(instance_of: Mapping[int, int]) -> dict[int, list[int]]:
+    """Fragments of every instance, ascending."""
+    members: dict[int, list[int]] = {}
+    for f in sorted(instance_of):
+        members.setdefault(instance_of[f], []).append(f)
+    return members
+
+
+class Life:
+    """Remembers which instances were confirmed, and says what changed from frame to frame."""
+
+    def __init__(self, parameters: FinishParameters) -> None:
+        self._parameters = parameters
+        self.confirmed: dict[int, int] = {}
+        """Instance id to the first frame at which its existence tests held."""
+
+    def follow(
+        self,
+        frame: int,
+        before: Mapping[int, int],
+        after: Mapping[int, int],
+        fragments: Mapping[int, Fragment],
+        touched: Iterable[int],
+    ) -> list[Event]:
+        """Events of one frame, from the instances of all fragments before and after it. touched: changed fragments."""
+        events = [] if before == after else self._regrouped(frame, before, after)
+        pending = sorted({after[f] for f in touched} - self.confirmed.keys())
+        if pending:
+            members = members_of(after)
+            for instance in pending:
+                memory = memory_of(fragments[f] for f in members[instance])
+                if exists(memory, memory.voxels, self._parameters):
+                    self.confirmed[instance] = frame
+                    text = f"matched in {memory.matched} of {memory.seen} frames that saw it, {memory.voxels} voxels"
+                    events.append(Event(frame, "confirmed", instance, (), text))
+        return events
+
+    def _regrouped(self, frame: int, before: Mapping[int, int], after: Mapping[int, int]) -> list[Event]:
+        events = []
+        joined: dict[int, set[int]] = {}
+        parted: dict[int, set[int]] = {}
+        for f, old in before.items():
+            joined.setdefault(after[f], set()).add(old)
+            parted.setdefault(old, set()).add(after[f])
+        for instance in sorted(joined):
+            others = sorted(joined[instance] - {instance})
+            if len(joined[instance]) > 1 and others:
+                text = "seen together more than apart: one thing"
+                events.append(Event(frame, "merged", instance, tuple(others), text))
+        for old in sorted(parted):
+            others = sorted(parted[old] - {old})
+            if len(parted[old]) > 1 and others:
+                text = "seen apart more than together: not one thing"
+                events.append(Event(frame, "split", old, tuple(others), text))
+        return events

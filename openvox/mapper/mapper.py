@@ -1,0 +1,278 @@
+"""The mapper: associate, then evolve. One instance is one map; `step` is the only thing that changes it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core import fixedpoint
+from openvox.core.errors import InputError
+from openvox.core.mapper_parameters import MapperParameters
+from openvox.core.types import Decision, Event, Frame, InstanceMap, Mask, Step, VoxelChanges
+from openvox.mapper.associate import Association, associate_frame
+from openvox.mapper.codebook import NAMELESS, Fragment
+from openvox.mapper.cut import Nesting, count_pairs, cuts
+from openvox.mapper.engines.cpu import CpuEngine, Look, Region
+from openvox.mapper.engines.pixels import EMPTY
+from openvox.mapper.equations import FULL_WEIGHT
+from openvox.mapper.evidence import Evidence
+from openvox.mapper.finish import finished_map
+from openvox.mapper.life import Life
+
+MIN_SEEN = 4
+"""Voxels of a fragment that must be in view for a frame to count as having seen it."""
+Features = Sequence[NDArray[np.int64] | None]
+Moved = tuple[NDArray[np.int32], int, int]
+
+
+class Stopwatch(Protocol):
+    """Told when a stage of a step begins; the mapper itself knows no clock."""
+
+    def lap(self, stage: str) -> None:
+        """`stage` begins: masks, project, associate, evolve, or "" at the end."""
+
+
+class Mapper:
+    """The probabilistic voxel map of the OpenVox paper, with the rules that its parameters switch on."""
+
+    def __init__(self, parameters: MapperParameters, stopwatch: Stopwatch | None = None) -> None:
+        self.parameters = parameters
+        self._engine = CpuEngine(parameters)
+        self._watch = stopwatch
+        self._fragments: dict[int, Fragment] = {}
+        self._evidence = Evidence(parameters.lifecycle)
+        self._life = Life(parameters.finish)
+        self._looked = 0
+        self._dimensions = 0
+
+    def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
+        """Associate the frame's masks with the map before it, then let the map evolve.
+
+        masks: None if perception did not look at this frame (nothing changes), () if it looked and found nothing.
+        Raises InputError if the frame leaves the map's range or a mask does not fit the colour picture."""
+        if masks is None:
+            return self._result(frame, (), False, (), (), _no_changes(self._engine.voxels))
+        self._check(frame, masks)
+        self._lap("masks")
+        kept = [mask if mask.area >= self.parameters.masks.min_pixels else None for mask in masks]
+        image, members = self._engine.label_image(kept, frame.rig)
+        self._lap("project")
+        region = self._engine.observe(frame, image, members, len(masks))
+        self._lap("associate")
+        look = self._engine.look(region, len(self._fragments))
+        features = [None if mask.embedding is None else fixedpoint.quantised(mask.embedding) for mask in masks]
+        associations = associate_frame(
+            kept, features, region.voxels_of_mask, look.fragments, look.theta_sum, look.overlap,
+            self._fragments, self._evidence.instance_of, self.parameters,
+        )  # fmt: skip
+        self._lap("evolve")
+        before = dict(self._evidence.instance_of)
+        nesting = Nesting(kept, self.parameters.lifecycle.nested)
+        events = self._found(frame, masks, associations)
+        look, moved = self._cut(frame, kept, associations, region, look, nesting, events)
+        self._count_pairs(kept, associations, nesting)
+        changes, abstained = self._vote(region, look, associations, moved)
+        self._learn(frame, masks, features, associations, look)
+        touched = self._cluster(associations, moved)
+        events += self._life.follow(frame.index, before, self._evidence.instance_of, self._fragments, touched)
+        self._looked += 1
+        self._lap("")
+        decisions = tuple(self._decision(one, abstained) for one in associations)
+        return self._result(frame, tuple(masks), True, decisions, tuple(events), changes)
+
+    def finish(self) -> InstanceMap:
+        """The map as it stands; no vote is altered, and mapping may go on."""
+        return finished_map(
+            self._engine.votes(),
+            self._fragments,
+            self._evidence.instance_of,
+            self._life,
+            self._dimensions,
+            self.parameters,
+        )
+
+    def _lap(self, stage: str) -> None:
+        if self._watch is not None:
+            self._watch.lap(stage)
+
+    def _check(self, frame: Frame, masks: Sequence[Mask]) -> None:
+        camera = frame.rig.color
+        for m, mask in enumerate(masks):
+            if mask.box[2] > camera.width or mask.box[3] > camera.height:
+                raise InputError(
+                    f"frame {frame.index}, mask {m}: its box {mask.box} leaves the colour image of "
+                    f"{camera.width}x{camera.height}; was it made for another recording?"
+                )
+            if mask.embedding is None:
+                continue
+            if self._dimensions not in (0, len(mask.embedding)):
+                raise InputError(
+                    f"frame {frame.index}, mask {m}: its embedding has {len(mask.embedding)} numbers, earlier ones "
+                    f"{self._dimensions}; run perceive with one encoder for the whole recording"
+                )
+            self._dimensions = len(mask.embedding)
+
+    # ---- evolution ---------------------------------------------------------------------------------------------------
+
+    def _found(self, frame: Frame, masks: Sequence[Mask], associations: Sequence[Association]) -> list[Event]:
+        """Masks that hold nothing found fragments, numbered by area (down), then position."""
+        events = []
+        new = [one for one in associations if one.by == "new"]
+        for one in sorted(new, key=lambda one: (-masks[one.mask].area, one.mask)):
+            one.main = self._new_fragment(frame)
+            one.held = {one.main}
+            events.append(Event(frame.index, "new", one.main, (), f"mask {one.mask} holds nothing that the map knows"))
+        return events
+
+    def _new_fragment(self, frame: Frame) -> int:
+        f = len(self._fragments) + 1
+        self._fragments[f] = Fragment(f, frame.index, frame.index, np.zeros(self._dimensions, np.int64))
+        self._evidence.add_fragment(f)
+        return f
+
+    def _cut(
+        self,
+        frame: Frame,
+        kept: Sequence[Mask | None],
+        associations: Sequence[Association],
+        region: Region,
+        look: Look,
+        nesting: Nesting,
+        events: list[Event],
+    ) -> tuple[Look, list[Moved]]:
+        """Move votes of a fragment that lies under two masks to a new fragment under the smaller one."""
+        moved: list[Moved] = []
+        if not self.parameters.evolution.cut:
+            return look, moved
+        inheritance = fixedpoint.millionths(self.parameters.evolution.cut_inheritance)
+        for cut in cuts(
+            kept, associations, region.voxels_of_mask, look.fragments, look.overlap, nesting, self.parameters
+        ):
+            piece = self._new_fragment(frame)
+            rows, votes = self._engine.move(region, look, cut.mask, cut.fragment, piece)
+            moved.append((rows, cut.fragment, piece))
+            one = associations[cut.mask]
+            one.held = (one.held - {cut.fragment}) | {piece}
+            if one.main == cut.fragment:
+                one.main, one.by = piece, "cut"
+                one.visibility, one.credibility = fixedpoint.Q20, FULL_WEIGHT
+            inherited = inheritance * votes // (fixedpoint.MILLION * max(1, len(rows)))
+            self._evidence.add_together(cut.fragment, piece, inherited)
+            instance = self._evidence.instance_of[cut.fragment]
+            text = f"it lies under masks {cut.keeper} and {cut.mask}: {len(rows)} voxels go to fragment {piece}"
+            events.append(Event(frame.index, "cut", instance, (piece,), text))
+        if moved:
+            owner = look.owner
+            look = self._engine.look(region, len(self._fragments))
+            look.owner = owner
+        return look, moved
+
+    def _count_pairs(self, kept: Sequence[Mask | None], associations: Sequence[Association], nesting: Nesting) -> None:
+        if self.parameters.lifecycle.evidence:
+            count_pairs(kept, associations, nesting, self._evidence, self.parameters.lifecycle)
+
+    def _vote(
+        self, region: Region, look: Look, associations: Sequence[Association], moved: Sequence[Moved]
+    ) -> tuple[VoxelChanges, NDArray[np.int64]]:
+        """Every (voxel, mask) pair votes; returns the changes and how many voxels of each mask abstained."""
+        column = {f: c for c, f in enumerate(look.fragments.tolist())}
+        held = np.zeros((region.masks, len(column)), np.bool_)
+        main = np.full(region.masks, EMPTY, np.int32)
+        undecided = np.zeros(region.masks, np.bool_)
+        for one in associations:
+            held[one.mask, [column[f] for f in sorted(one.held) if f in column]] = True
+            main[one.mask] = one.main or EMPTY
+            undecided[one.mask] = self._is_undecided(one)
+        target = self._engine.targets(region, look, held, main, undecided)
+        object_vote = 2 if self.parameters.evolution.background else 1
+        doubtful = (target == 0) & (look.label[region.pair_voxel] == 0)
+        amount = np.where(doubtful, 1, object_vote).astype(np.int32)
+        abstained = np.bincount(region.pair_mask[target == EMPTY], minlength=region.masks + 1)
+        changes, owner = self._engine.vote(region, look, target, amount, moved)
+        for ids, sign in ((look.owner, -1), (owner, 1)):
+            sizes = np.bincount(ids[look.owner != owner])
+            for f in np.flatnonzero(sizes[1:]).tolist():
+                self._fragments[f + 1].voxels += sign * int(sizes[f + 1])
+        return changes, abstained
+
+    def _is_undecided(self, one: Association) -> bool:
+        if not self.parameters.evolution.abstention:
+            return False
+        held = sorted(one.held)
+        return any(self._evidence.kept_apart(f, g) for i, f in enumerate(held) for g in held[i + 1 :])
+
+    def _learn(
+        self,
+        frame: Frame,
+        masks: Sequence[Mask],
+        features: Features,
+        associations: Sequence[Association],
+        look: Look,
+    ) -> None:
+        """What the frame adds to the fragments' memories: features, captions, scores, when they were in view."""
+        bit = 1 << self._looked
+        for f, voxels in zip(look.fragments.tolist(), look.overlap.sum(0).tolist(), strict=True):
+            if voxels >= MIN_SEEN:
+                self._fragments[f].seen |= bit
+        for one in associations:
+            if not one.main:
+                continue
+            mask, fragment = masks[one.mask], self._fragments[one.main]
+            support = one.credibility * round(mask.caption_score * 4096) >> 12
+            support = support if mask.named else support // NAMELESS
+            fragment.observe(one.credibility, features[one.mask], mask.caption, support)
+            fragment.score += round(mask.score * 4096)
+            fragment.observations += 1
+            for f in sorted(one.held):
+                self._fragments[f].matched |= bit
+                self._fragments[f].last_frame = frame.index
+
+    def _cluster(self, associations: Sequence[Association], moved: Sequence[Moved]) -> list[int]:
+        """Instances from the evidence so far; returns the fragments that the frame changed."""
+        touched = {f for one in associations for f in one.held} | {f for _, *both in moved for f in both}
+        changed = sorted(touched)
+        if self.parameters.lifecycle.evidence:
+            self._evidence.update(changed, self._fragments)
+        return changed
+
+    # ---- results -----------------------------------------------------------------------------------------------------
+
+    def _decision(self, one: Association, abstained: NDArray[np.int64]) -> Decision:
+        chosen = one.chosen if one.by in ("containment", "threshold") else None
+        return Decision(
+            mask=one.mask,
+            by=one.by,
+            instance=self._evidence.instance_of[one.main] if one.main else 0,
+            fragment=one.main,
+            held=tuple(sorted(one.held)),
+            voxels=one.voxels,
+            abstained=int(abstained[one.mask]),
+            s_geo=chosen.s_geo if chosen else 0,
+            s_fea=chosen.s_fea if chosen else 0,
+            a=chosen.a if chosen else 0,
+            threshold=fixedpoint.q20(self.parameters.association.threshold),
+            visibility=one.visibility if one.main else 0,
+            credibility=one.credibility if one.main else 0,
+            candidates=one.candidates,
+        )
+
+    def _result(
+        self,
+        frame: Frame,
+        masks: tuple[Mask, ...],
+        looked: bool,
+        decisions: tuple[Decision, ...],
+        events: tuple[Event, ...],
+        changes: VoxelChanges,
+    ) -> Step:
+        instance_of = MappingProxyType(dict(self._evidence.instance_of))
+        return Step(frame, masks, looked, decisions, events, changes, instance_of, self._engine.voxels)
+
+
+def _no_changes(voxels: int) -> VoxelChanges:
+    none = np.zeros(0, np.int32)
+    return VoxelChanges(voxels, np.zeros((0, 3), np.int32), none, none, none, none, none, none)
