@@ -22,7 +22,7 @@ from openvox.perception.planes import Room, find_room
 from openvox.perception.regions import at_color_pixels, at_depth_pixels
 from openvox.perception.segments import Labels, background_of, segments
 from openvox.perception.stage import stage_digest
-from openvox.perception.surface import depth_in_metres, surface
+from openvox.perception.surface import depth_in_metres, surface, working_step
 from openvox.perception.wording import COLORS, color_of, color_words, forms
 
 SCORE = 0.5
@@ -93,7 +93,7 @@ class Geometry:
                 kind="region",
             )
             for label in range(1, len(area))
-            if area[label] >= p.min_pixels
+            if area[label] >= p.min_pixels * working_step(frame.rig.color) ** 2
         )
 
 

@@ -9,7 +9,7 @@ from openvox.core.parameters import parameter
 
 @dataclass(frozen=True, kw_only=True)
 class GeometryParameters:
-    """Regions from depth alone. Pixels are those of the working picture, about 320 wide, unless said otherwise."""
+    """Regions from depth alone. Pixels are those of a working picture of about 320 columns, whatever the camera has."""
 
     near: float = parameter(0.15, "m", 0.0, 10.0, why="nearer depth is ignored: sensors measure nothing sound there")
     far: float = parameter(6.0, "m", 0.1, 65.0, why="farther depth is ignored: noise grows with its square")
@@ -42,7 +42,7 @@ class GeometryParameters:
     residue_pixels: int = parameter(
         600, "px", 1, 100_000, needs="geometry.residue", why="smaller left-overs are mostly noise"
     )
-    min_pixels: int = parameter(400, "colour px", 1, 1_000_000, why="smaller regions are mostly noise")
+    min_pixels: int = parameter(100, "px", 1, 100_000, why="smaller regions are mostly noise")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ class Surface:
 
 def surface(depth: DepthImage, camera: Intrinsics, near: float, far: float) -> Surface:
     """The surface that a depth image shows between `near` and `far` metres; pinholes are filled."""
-    step = max(1, round(camera.width / WIDTH))
+    step = working_step(camera)
     z = filled(_pooled(depth_in_metres(depth, near, far), step))
     valid = z > 0
     z = smoothed(z)
@@ -42,6 +42,11 @@ def surface(depth: DepthImage, camera: Intrinsics, near: float, far: float) -> S
     y = (v - np.float32(camera.cy)) / np.float32(camera.fy)
     points = np.stack([x * z, y[:, None] * z, z])
     return Surface(step, points, _normals(points, valid), valid)
+
+
+def working_step(camera: Intrinsics) -> int:
+    """Pixels of that camera to a working pixel, along a side."""
+    return max(1, round(camera.width / WIDTH))
 
 
 def depth_in_metres(depth: DepthImage, near: float, far: float) -> Floats:
