@@ -183,7 +183,7 @@ def replay(
     result = application.replay(
         recording,
         perception=perception,
-        preset=preset,
+        preset_name=preset,
         params=params,
         assignments=assignments or [],
         engine=engine,
@@ -193,6 +193,7 @@ def replay(
         end=end,
         stride=stride,
         progress=progress("mapping"),
+        notice=lambda text: typer.echo(text, err=True),
     )
     tables.show(result, json, tables.replay, "openvox", "query", result["outputs"]["map"], "somewhere to sit")
 

@@ -1,0 +1,29 @@
+"""The one loop: replay, live runs and tests all come through here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+from openvox.core.types import Frame, InstanceMap, Mask, Step
+from openvox.mapper.mapper import Mapper
+
+
+class Observer(Protocol):
+    """Watches a run. Steps are frozen: watching cannot change a decision."""
+
+    def on_step(self, step: Step) -> None:
+        """One frame was mapped."""
+
+    def close(self, result: InstanceMap) -> None:
+        """The run is over, and this is its map."""
+
+
+def run(
+    frames: Iterable[tuple[Frame, Sequence[Mask] | None]], mapper: Mapper, observers: Sequence[Observer] = ()
+) -> None:
+    """Map frames in the order of their stamps; masks are None where perception did not look."""
+    for frame, masks in frames:
+        step = mapper.step(frame, masks)
+        for observer in observers:
+            observer.on_step(step)

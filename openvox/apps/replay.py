@@ -1,0 +1,247 @@
+"""replay: the probabilistic mapper over a recording and its perception; no model runs, nothing is left to chance."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from openvox.apps.loop import Observer, run
+from openvox.core.digest import frame_digest, map_digest
+from openvox.core.errors import InputError
+from openvox.core.mapper_parameters import MapperParameters, preset
+from openvox.core.parameters import as_dict, from_assignments, from_toml, updated
+from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Pose, Rig, Step
+from openvox.formats.ahead import read_ahead
+from openvox.formats.map_npz import write_map
+from openvox.formats.perception import FrameMasks, PerceptionInfo, perception_info, read_masks
+from openvox.formats.recording import RecordingInfo, read_frames, recording_info
+from openvox.formats.trace import TraceWriter
+from openvox.mapper.mapper import Mapper
+
+COMPILES_AFTER = 1.5
+"""Seconds after which a word is said: the kernels are being compiled, not loaded."""
+STAGES = ("decode", "masks", "project", "associate", "evolve", "trace")
+
+
+def replay(
+    recording: Path,
+    *,
+    perception: Path | None = None,
+    preset_name: str = "openvox",
+    params: Path | None = None,
+    assignments: Sequence[str] = (),
+    engine: str = "cpu",
+    out: str | None = None,
+    rerun: Path | None = None,
+    start: int | None = None,
+    end: int | None = None,
+    stride: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    notice: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Map a recording and write STEM.map.npz and STEM.trace.mcap; the contract's fields of `replay --json`.
+
+    perception: instead of STEM.perception.mcap. out: another STEM. notice: told what takes long. Raises InputError,
+    OutputError."""
+    parameters = chosen_parameters(preset_name, params, assignments)
+    source = recording_info(recording)
+    found = perception_info(_perception_of(recording, perception))
+    stem = Path(out) if out else recording.with_suffix("")
+    map_path, trace_path = Path(f"{stem}.map.npz"), Path(f"{stem}.trace.mcap")
+    _check_outputs([recording, found.path], [map_path, trace_path, *([rerun] if rerun else [])])
+    warm_up(parameters, notice)
+    begin = time.perf_counter()
+    watch, counter = Stopwatch(), Counting(progress, _count(source, start, end, stride))
+    about = {"preset": preset_name, "engine": engine, "parameters": as_dict(parameters)}
+    sources = {
+        name: (_relative(info.path, trace_path), info.digest)
+        for name, info in (("recording", source), ("perception", found))
+    }
+    mapper = Mapper(parameters, watch)
+    with ExitStack() as stack:
+        trace = stack.enter_context(TraceWriter(trace_path, {**about, "sources": sources}))
+        observers: list[Observer] = [trace, counter]
+        if rerun is not None:
+            from openvox.view.rerun_observer import RerunObserver
+
+            observers.append(stack.enter_context(RerunObserver(rerun, voxel_size=parameters.map.voxel_size)))
+        frames = closing(read_ahead(_timed(_joined(recording, found, start, end, stride), watch), 4))
+        run(stack.enter_context(frames), mapper, observers)
+        if not counter.frames:
+            raise InputError(
+                f"{recording}: no frame lies in the chosen range; openvox info {recording} shows the numbers"
+            )
+        result = mapper.finish()
+        for observer in observers:
+            observer.close(result)
+        digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
+        write_map(map_path, replace(result, meta=_meta(about, found, sources, digests, counter.frames)))
+    seconds = time.perf_counter() - begin
+    watch.times["trace"] = [1000 * value for value in trace.seconds]
+    return {
+        "frames": counter.frames,
+        "seconds": seconds,
+        "frames_per_second": counter.frames / seconds,
+        "ms": {stage: _summary(watch.times.get(stage, [])) for stage in STAGES},
+        "voxels": len(result.voxel_index),
+        "instances": len(result.instance_id),
+        "decisions": dict(sorted(counter.rules.items())),
+        "digests": digests,
+        "outputs": {"map": str(map_path), "trace": str(trace_path), "rerun": str(rerun) if rerun else None},
+        **about,
+    }
+
+
+def chosen_parameters(preset_name: str, params: Path | None, assignments: Sequence[str]) -> MapperParameters:
+    """preset < file < --set. Raises InputError."""
+    chosen = preset(preset_name)
+    if params is not None:
+        chosen = updated(chosen, from_toml(params), source=str(params))
+    return updated(chosen, from_assignments(assignments), source="--set")
+
+
+def warm_up(parameters: MapperParameters, notice: Callable[[str], None]) -> None:
+    """Have all kernels compiled, or loaded from the cache, before any time is taken."""
+    camera = Intrinsics(8, 8, 8.0, 8.0, 3.5, 3.5)
+    bitmap = np.zeros((8, 8), np.bool_)
+    bitmap[1:7, 1:7] = True
+    masks = (Mask.from_bitmap(bitmap), Mask.from_bitmap(bitmap.T & (np.arange(8) < 4)))
+    few = replace(parameters, masks=replace(parameters.masks, min_pixels=0))
+    timer = threading.Timer(COMPILES_AFTER, notice, ["compiling the mapper's kernels, once after an installation ..."])
+    timer.start()
+    try:
+        mapper = Mapper(few)
+        for number in range(2):
+            frame = Frame(number, number, Pose.identity(), Rig(camera, camera), np.full((8, 8), 1000, np.uint16))
+            mapper.step(frame, masks)
+    finally:
+        timer.cancel()
+
+
+class Stopwatch:
+    """Milliseconds of every stage and frame."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, list[float]] = {}
+        self._stage, self._begin = "", 0.0
+
+    def lap(self, stage: str) -> None:
+        """A stage begins, and the one before ends; "" = none begins."""
+        now = time.perf_counter()
+        if self._stage:
+            self.times.setdefault(self._stage, []).append(1000 * (now - self._begin))
+        self._stage, self._begin = stage, now
+
+
+class Counting:
+    """Counts frames and the rules that decided, and reports progress."""
+
+    def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
+        self._progress, self._total = progress, total
+        self.frames = 0
+        self.rules: Counter[str] = Counter()
+
+    def on_step(self, step: Step) -> None:
+        """One frame more."""
+        self.frames += 1
+        self.rules.update(decision.by for decision in step.decisions)
+        if self._progress:
+            self._progress(self.frames, self._total)
+
+    def close(self, result: InstanceMap) -> None:
+        """Nothing is left to do."""
+
+
+def _perception_of(recording: Path, perception: Path | None) -> Path:
+    path = perception or recording.with_suffix(".perception.mcap")
+    if not path.exists():
+        raise InputError(f"{path}: no such file; run openvox perceive {recording} first, or name one with --perception")
+    return path
+
+
+def _check_outputs(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
+    taken = {path.resolve() for path in inputs}
+    for path in outputs:
+        if path.resolve() in taken:
+            raise InputError(f"{path}: would be overwritten by what is made from it; choose another --out")
+        taken.add(path.resolve())
+
+
+def _joined(
+    recording: Path, found: PerceptionInfo, start: int | None, end: int | None, stride: int
+) -> Iterator[tuple[Frame, tuple[Mask, ...] | None]]:
+    """Every chosen frame with its masks, None where perception did not look. Raises InputError where they disagree."""
+    masks = read_masks(found.path, start=start, end=end)
+    waiting: FrameMasks | None = next(masks, None)
+    with closing(read_frames(recording, start=start, end=end, stride=stride, truth=False)) as frames:
+        for frame in frames:
+            while waiting is not None and waiting.index < frame.index:
+                waiting = next(masks, None)
+            if waiting is None or waiting.index != frame.index:
+                yield frame, None
+                continue
+            if waiting.frame_digest != frame_digest(frame):
+                raise InputError(
+                    f"{found.path}, frame {frame.index}: its masks were made from other pixels than those of "
+                    f"{recording}; run openvox perceive {recording} again"
+                )
+            yield frame, waiting.masks
+
+
+def _timed(
+    frames: Iterator[tuple[Frame, tuple[Mask, ...] | None]], watch: Stopwatch
+) -> Iterator[tuple[Frame, tuple[Mask, ...] | None]]:
+    times = watch.times.setdefault("decode", [])
+    while True:
+        begin = time.perf_counter()
+        item = next(frames, None)
+        if item is None:
+            return
+        times.append(1000 * (time.perf_counter() - begin))
+        yield item
+
+
+def _count(source: RecordingInfo, start: int | None, end: int | None, stride: int) -> int:
+    first = source.first if start is None else max(start, source.first)
+    last = source.last + 1 if end is None else min(end, source.last + 1)
+    return max(0, -(-(last - first) // stride))
+
+
+def _summary(times: Sequence[float]) -> dict[str, float]:
+    if not times:
+        return {"mean": 0.0, "median": 0.0, "p95": 0.0}
+    return {
+        "mean": float(np.mean(times)),
+        "median": float(np.median(times)),
+        "p95": float(np.percentile(times, 95)),
+    }
+
+
+def _relative(path: Path, beside: Path) -> str:
+    return Path(os.path.relpath(path.resolve(), beside.resolve().parent)).as_posix()
+
+
+def _meta(
+    about: dict[str, Any],
+    found: PerceptionInfo,
+    sources: dict[str, tuple[str, str]],
+    digests: dict[str, str],
+    frames: int,
+) -> dict[str, Any]:
+    return {
+        **about,
+        "encoder": found.encoder,
+        "frames": frames,
+        "digests": {**digests, "perception": found.digest},
+        "recording": sources["recording"][0],
+        "perception": sources["perception"][0],
+    }

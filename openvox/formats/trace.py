@@ -1,0 +1,202 @@
+"""Traces: `STEM.trace.mcap` with every decision, event and voxel change of a run.
+
+Decisions are JSON with a schema, events foxglove.Log, voxel changes a message of ours: exact, so that the votes after
+any frame can be rebuilt without mapping again.
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from openvox import __version__
+from openvox.core.digest import START, canonical_json, chain
+from openvox.core.errors import InputError
+from openvox.core.types import Event, InstanceMap, Step
+from openvox.formats import trace_schemas as schemas
+from openvox.formats.mcap_io import McapWriter, Message, read_messages, read_metadata
+
+FORMAT_VERSION = 1
+METADATA = "openvox.trace"
+SUFFIX = ".trace.mcap"
+_WAITING = 16
+
+
+@dataclass(frozen=True)
+class TraceInfo:
+    """What a trace says about itself."""
+
+    path: Path
+    frames: int
+    digest: str
+    """Chain over the frames' decisions."""
+    run: Mapping[str, Any]
+    """preset, engine, parameters, recording and its digest, perception and its digest."""
+
+
+@dataclass(frozen=True, eq=False)
+class TraceFrame:
+    """One frame of a trace."""
+
+    frame: int
+    stamp_ns: int
+    looked: bool
+    decisions: tuple[Mapping[str, Any], ...]
+    """Fields of core.types.Decision, and the mask's caption and kind."""
+    events: tuple[Event, ...]
+    changes: schemas.VotesChanged
+
+
+def decision_link(previous: str, step: Step) -> str:
+    """The next link of the trace digest: over canonical JSON of the frame's decisions, integers and rule names only."""
+    content = {"frame": step.frame.index, "decisions": [asdict(decision) for decision in step.decisions]}
+    return chain(previous, canonical_json(content))
+
+
+class TraceWriter:
+    """An observer that writes the trace in a thread of its own, complete or not at all; a context manager.
+
+    run: what the trace says of its run. `digest` is whole after `close`."""
+
+    def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
+        self.path = path
+        self._run = run
+        self._file = McapWriter(path)
+        self._steps: queue.Queue[Step | None] = queue.Queue(_WAITING)
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="trace", daemon=True)
+        self.digest = START
+        self.frames = 0
+        self.seconds: list[float] = []
+        """Time that each frame took to encode and write."""
+
+    def __enter__(self) -> Self:
+        self._file.__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop()
+        if kind is None and self._failure is not None:
+            failure = self._failure
+            self._file.__exit__(type(failure), failure, failure.__traceback__)
+            raise failure
+        self._file.__exit__(kind, error, trace)
+
+    def on_step(self, step: Step) -> None:
+        """Hand a step to the thread. Raises what the thread met, OutputError for a full disk."""
+        if self._failure is not None:
+            raise self._failure
+        self._steps.put(step)
+
+    def close(self, result: InstanceMap) -> None:
+        """All steps are on their way to the file; it is complete when the context ends."""
+        self._stop()
+        if self._failure is None:
+            record = {
+                "format_version": str(FORMAT_VERSION),
+                "openvox_version": __version__,
+                "frames": str(self.frames),
+                "digest": self.digest,
+                "run": json.dumps(self._run, sort_keys=True),
+            }
+            self._file.metadata(METADATA, record)
+
+    def _stop(self) -> None:
+        if self._thread.is_alive():
+            self._steps.put(None)
+            self._thread.join()
+
+    def _work(self) -> None:
+        while (step := self._steps.get()) is not None:
+            if self._failure is None:
+                try:
+                    self._write(step)
+                except BaseException as error:  # handed to the caller's thread
+                    self._failure = error
+
+    def _write(self, step: Step) -> None:
+        begin = time.perf_counter()
+        self.digest = decision_link(self.digest, step)
+        self.frames += 1
+        number, stamp = step.frame.index, step.frame.stamp_ns
+        self._file.add(schemas.DECISIONS, number, stamp, schemas.encode_decisions(step))
+        for event in step.events:
+            self._file.add(schemas.EVENTS, number, stamp, schemas.encode_event(stamp, event))
+        self._file.add(schemas.VOXELS, number, stamp, schemas.encode_changes(stamp, step.changes))
+        self.seconds.append(time.perf_counter() - begin)
+
+
+def trace_info(path: Path) -> TraceInfo:
+    """What the trace says about itself. Raises InputError."""
+    record = read_metadata(path, METADATA, newest=FORMAT_VERSION)
+    try:
+        return TraceInfo(path, int(record["frames"]), record["digest"], json.loads(record["run"]))
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{path}: its record {METADATA} is not as expected ({error}); replay again") from None
+
+
+def read_trace(path: Path, start: int = 0) -> Iterator[TraceFrame]:
+    """The frames of a trace from number `start` on, in order. Raises InputError."""
+    trace_info(path)
+    topics = {topic.name for topic in (schemas.DECISIONS, schemas.EVENTS, schemas.VOXELS)}
+    group: list[Message] = []
+    for message in read_messages(path, topics, from_sequence=start):
+        if message.sequence < start:
+            continue
+        if group and message.sequence != group[0].sequence:
+            yield _frame(path, group)
+            group = []
+        group.append(message)
+    if group:
+        yield _frame(path, group)
+
+
+def _frame(path: Path, group: list[Message]) -> TraceFrame:
+    where = f"{path}, frame {group[0].sequence}"
+    try:
+        by_topic: dict[str, list[memoryview]] = {}
+        for message in group:
+            by_topic.setdefault(message.topic, []).append(message.data)
+        content = json.loads(bytes(by_topic[schemas.DECISIONS.name][0]))
+        events = [schemas.decode_event(group[0].sequence, data) for data in by_topic.get(schemas.EVENTS.name, [])]
+        changes = schemas.decode_changes(by_topic[schemas.VOXELS.name][0])
+        return TraceFrame(
+            group[0].sequence,
+            group[0].log_time,
+            bool(content["looked"]),
+            tuple(content["decisions"]),
+            tuple(events),
+            changes,
+        )
+    except (KeyError, ValueError, TypeError, DecodeError) as error:
+        raise InputError(f"{where}: the trace cannot be read ({error}); replay again") from None
+
+
+def votes_after(path: Path, frame: int) -> tuple[NDArray[np.int32], dict[tuple[int, int], int]]:
+    """The map's votes after a frame: voxel index (n, 3), and the count of every (voxel number, fragment) with votes."""
+    index: list[NDArray[np.int32]] = []
+    counts: dict[tuple[int, int], int] = {}
+    for step in read_trace(path):
+        if step.frame > frame:
+            break
+        index.append(step.changes.new_index)
+        for voxel, fragment, count in zip(
+            step.changes.voxel.tolist(), step.changes.fragment.tolist(), step.changes.count.tolist(), strict=True
+        ):
+            counts[voxel, fragment] = count
+    left = {key: count for key, count in counts.items() if count}
+    return (np.concatenate(index) if index else np.zeros((0, 3), np.int32)), left
