@@ -107,20 +107,15 @@ def _form(points: NDArray[np.float64], normal: NDArray[np.float64], room: Room, 
 def _place(points: NDArray[np.float64], thing: str, room: Room, supported: bool) -> str:
     floor = room.floor
     bottom = None if floor is None else float(np.percentile(_along(points, room.up), 5)) - floor.offset
-    if bottom is not None and bottom < 0.15:
-        return "on the floor"
-    if any(
-        abs(_along(np.array(plane.normal), room.up)) < 0.3
-        and float(np.median(_along(points, plane.normal))) - plane.offset < 0.12
-        for plane in room.planes
-    ):
+    band = None if bottom is None else 0 if bottom < 0.15 else 1 if bottom < 0.55 else 2 if bottom < 1.1 else 3
+    if band is not None and thing == "horizontal surface":
+        return ("on the floor", "at knee height", "at table height", "high up")[band]
+    if band is not None and (band == 0 or supported):
+        return ("on the floor", "on a low surface", "on a table-high surface", "on a high surface")[band]
+    walls = (plane for plane in room.planes if abs(_along(np.array(plane.normal), room.up)) < 0.3)
+    if any(float(np.median(_along(points, wall.normal))) - wall.offset < 0.12 for wall in walls):
         return "on the wall"
-    if bottom is None:
-        return ""
-    band = 0 if bottom < 0.55 else 1 if bottom < 1.1 else 2
-    if thing == "horizontal surface":
-        return ("at knee height", "at table height", "high up")[band]
-    return ("on a low surface", "on a table-high surface", "on a high surface")[band] if supported else ""
+    return ""
 
 
 def _supported(labels: Labels, surface: Surface, room: Room, world_from_depth: Pose) -> Flags:
