@@ -29,7 +29,7 @@ _NUMBERS = (
 )
 _DECISION = {
     **dict.fromkeys(_NUMBERS, _INTEGER),
-    **dict.fromkeys(("by", "caption", "kind"), {"type": "string"}),
+    **{name: {"type": "string"} for name in ("by", "caption", "kind")},
     "held": {"type": "array", "items": _INTEGER},
     "candidates": {"type": "array", "items": {"type": "object", "properties": _CANDIDATE}},
 }

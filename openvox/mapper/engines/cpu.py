@@ -60,7 +60,7 @@ class CpuEngine:
         self._parameters = parameters
         self._max_mm = min(projection.MAX_MILLIMETRES, int(parameters.map.max_depth * 1000))
         self._rig: Rig | None = None
-        self._guess = 1024
+        self._room = 1 << 12
         self._table = np.full(1 << 12, EMPTY, np.int32)
         self._keys = np.empty(1 << 11, np.int64)
         self._heads = np.empty(1 << 11, np.int32)
@@ -134,11 +134,14 @@ class CpuEngine:
         depth = np.ascontiguousarray(frame.depth)
         margin = p.masks.step_margin if p.masks.one_vote else 0
         paint.depth_steps(depth, margin, self._near, self._skip)
-        keys, voxel, label, count = pixels.count_pixels(
-            depth, self._skip, image, self._max_mm, self._rays.x, self._rays.y, transform.a, transform.b, transform.c,
-            frame.rig.registered, *self._color, self._guess,
-        )  # fmt: skip
-        self._guess = max(1024, len(keys))
+        while True:
+            keys, voxel, label, count, enough = pixels.count_pixels(
+                depth, self._skip, image, self._max_mm, self._rays.x, self._rays.y, transform.a, transform.b,
+                transform.c, frame.rig.registered, *self._color, self._room,
+            )  # fmt: skip
+            if enough:
+                break
+            self._room *= 2
         if p.masks.one_vote:
             most = pixels.majority(len(keys), voxel, label, count)
             mask = np.where(most == 0, masks, most - 1).astype(np.int32)

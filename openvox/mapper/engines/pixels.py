@@ -56,112 +56,89 @@ def rebuilt(keys, rows, size):
 
 
 @njit(cache=True, nogil=True)
-def color_pixel(px, py, pz, fx, fy, cx, cy, width, height):
-    """Nearest pixel (column, row) of a point in the colour camera (Q16 millimetres); (-1, -1) if out of the picture."""
+def color_pixel(z, ray_x, ray_y, rotation, translation, camera, width, height):
+    """Nearest colour pixel (column, row) of a depth pixel; (-1, -1) if out of the picture. z: mm; see projection."""
+    px = (z * (rotation[0, 0] * ray_x + rotation[0, 1] * ray_y + (rotation[0, 2] << 18)) + translation[0]) >> 28
+    py = (z * (rotation[1, 0] * ray_x + rotation[1, 1] * ray_y + (rotation[1, 2] << 18)) + translation[1]) >> 28
+    pz = (z * (rotation[2, 0] * ray_x + rotation[2, 1] * ray_y + (rotation[2, 2] << 18)) + translation[2]) >> 28
     if pz <= 0:
         return -1, -1
     den = pz << 16
-    num = fx * px + cx * pz
-    u = (2 * num + den) // (2 * den)
-    num = fy * py + cy * pz
-    v = (2 * num + den) // (2 * den)
+    u = (2 * (camera[0] * px + camera[2] * pz) + den) // (2 * den)
+    v = (2 * (camera[1] * py + camera[3] * pz) + den) // (2 * den)
     if u < 0 or v < 0 or u >= width or v >= height:
         return -1, -1
     return u, v
 
 
 @njit(cache=True, nogil=True)
-def count_pixels(depth, skip, labels, max_mm, x, y, a, b, c, registered, rotation, translation, camera, guess):
+def count_pixels(depth, skip, labels, max_mm, x, y, a, b, c, registered, rotation, translation, camera, room):
     """V_m of all masks at once, eq. (6): the voxels that the frame sees, and the pixels of each label in each.
 
     depth (h, w) uint16 mm; skip (h, w) uint8, 1 = leave out; labels (H, W) int32 in colour pixels, < 0 = leave out;
-    x, y, a, b, c, rotation, translation, camera (fx, fy, cx, cy): see mapper.projection. guess: expected voxels.
-    Returns keys (n,) int64 in order of appearance, and entries: voxel (e,), label (e,), pixels (e,)."""
+    x, y, a, b, c, rotation, translation, camera (fx, fy, cx, cy): see mapper.projection. room: a power of two.
+    Returns keys (n,) int64 in order of appearance, and entries: voxel (e,), label (e,), pixels (e,); whether `room`
+    sufficed (else call again with twice as much; nothing here grows, so that the loop stays fast)."""
     height, width = depth.shape
     color_height, color_width = labels.shape
-    size = 1 << 10
-    while size < 3 * guess:
-        size *= 2
-    table = np.full(size, EMPTY, np.int32)
-    keys = np.empty(size, np.int64)
-    first = np.empty(size, np.int32)  # first entry of each voxel
-    entry_voxel = np.empty(size, np.int32)
-    entry_label = np.empty(size, np.int32)
-    entry_pixels = np.empty(size, np.int32)
-    entry_next = np.empty(size, np.int32)
+    mask = 2 * room - 1
+    table = np.full(2 * room, EMPTY, np.int32)
+    keys = np.empty(room, np.int64)
+    first = np.empty(room, np.int32)  # first entry of each voxel
+    entry_voxel = np.empty(room, np.int32)
+    entry_label = np.empty(room, np.int32)
+    entry_pixels = np.empty(room, np.int32)
+    entry_next = np.empty(room, np.int32)
+    a00, a10, a20, b0, b1, b2, c0, c1, c2 = a[0, 0], a[1, 0], a[2, 0], b[0], b[1], b[2], c[0], c[1], c[2]
     voxels, entries = 0, 0
-    last_key, voxel, entry, last_label = np.int64(-1), 0, 0, 0
+    last_key, voxel, entry, last_label = np.int64(-1), np.int64(0), np.int64(0), np.int64(0)
+    enough = True
     for v in range(height):
         row0 = a[0, 1] * y[v] + (a[0, 2] << 18)
         row1 = a[1, 1] * y[v] + (a[1, 2] << 18)
         row2 = a[2, 1] * y[v] + (a[2, 2] << 18)
+        if voxels + width >= room or entries + width >= room:
+            enough = False
+            break
         for u in range(width):
             z = np.int64(depth[v, u])
             if z == 0 or z > max_mm or skip[v, u]:
                 continue
             if registered:
-                label = labels[v, u]
+                label = np.int64(labels[v, u])
             else:
-                px = (
-                    z * (rotation[0, 0] * x[u] + rotation[0, 1] * y[v] + (rotation[0, 2] << 18)) + translation[0]
-                ) >> 28
-                py = (
-                    z * (rotation[1, 0] * x[u] + rotation[1, 1] * y[v] + (rotation[1, 2] << 18)) + translation[1]
-                ) >> 28
-                pz = (
-                    z * (rotation[2, 0] * x[u] + rotation[2, 1] * y[v] + (rotation[2, 2] << 18)) + translation[2]
-                ) >> 28
-                cu, cv = color_pixel(px, py, pz, camera[0], camera[1], camera[2], camera[3], color_width, color_height)
-                if cu < 0:
-                    continue
-                label = labels[cv, cu]
+                cu, cv = color_pixel(z, x[u], y[v], rotation, translation, camera, color_width, color_height)
+                label = np.int64(labels[cv, cu]) if cu >= 0 else np.int64(-1)
             if label < 0:
                 continue
-            i = ((z * (row0 + a[0, 0] * x[u]) + c[0]) >> 46) + b[0] + 1048576
-            j = ((z * (row1 + a[1, 0] * x[u]) + c[1]) >> 46) + b[1] + 1048576
-            k = ((z * (row2 + a[2, 0] * x[u]) + c[2]) >> 46) + b[2] + 1048576
+            i = ((z * (row0 + a00 * x[u]) + c0) >> 46) + b0 + 1048576
+            j = ((z * (row1 + a10 * x[u]) + c1) >> 46) + b1 + 1048576
+            k = ((z * (row2 + a20 * x[u]) + c2) >> 46) + b2 + 1048576
             key = (i << 42) | (j << 21) | k
             if key == last_key and label == last_label:
                 entry_pixels[entry] += 1
                 continue
             if key != last_key:
-                voxel = find(table, keys, key)
-                if voxel == EMPTY:
-                    if 2 * (voxels + 1) > table.size:
-                        table = rebuilt(keys, voxels, table.size * 2)
-                        keys, first = doubled(keys), doubled(first)
+                slot = mixed(key) & mask
+                while table[slot] >= 0 and keys[table[slot]] != key:
+                    slot = (slot + 1) & mask
+                voxel = np.int64(table[slot])
+                if voxel < 0:
                     voxel = voxels
-                    keys[voxel] = key
-                    first[voxel] = EMPTY
-                    insert(table, keys, voxel)
+                    keys[voxel], first[voxel], table[slot] = key, EMPTY, voxel
                     voxels += 1
-            entry = first[voxel]
-            while entry != EMPTY and entry_label[entry] != label:
-                entry = entry_next[entry]
-            if entry == EMPTY:
-                if entries == entry_voxel.size:
-                    entry_voxel, entry_label = doubled(entry_voxel), doubled(entry_label)
-                    entry_pixels, entry_next = doubled(entry_pixels), doubled(entry_next)
+            entry = np.int64(first[voxel])
+            while entry >= 0 and entry_label[entry] != label:
+                entry = np.int64(entry_next[entry])
+            if entry < 0:
                 entry = entries
                 entry_voxel[entry], entry_label[entry], entry_pixels[entry] = voxel, label, 0
                 entry_next[entry], first[voxel] = first[voxel], entry
                 entries += 1
             entry_pixels[entry] += 1
             last_key, last_label = key, label
-    return (
-        keys[:voxels].copy(),
-        entry_voxel[:entries].copy(),
-        entry_label[:entries].copy(),
-        entry_pixels[:entries].copy(),
-    )
-
-
-@njit(cache=True, nogil=True)
-def doubled(array):
-    """The array with room for twice as much."""
-    out = np.empty(2 * array.size, array.dtype)
-    out[: array.size] = array
-    return out
+    n, e = voxels, entries
+    return keys[:n].copy(), entry_voxel[:e].copy(), entry_label[:e].copy(), entry_pixels[:e].copy(), enough
 
 
 @njit(cache=True, nogil=True)
