@@ -249,6 +249,10 @@ def mask_message(**fields: Any) -> tuple[Any, bytes]:
         ((MASKS, vector_message(dimensions=3, vectors=b"12345")), "5 bytes are no vectors of 3 float32 numbers"),
         ((MASKS, vector_message(dimensions=3, vector_of_mask=[0])), "a mask has vector 0 of 0"),
         ((MASKS, vector_message(dimensions=3, vectors=bytes(12))), "1 masks have 0 vectors"),
+        (
+            (MASKS, vector_message(dimensions=1 << 20, vectors=bytes(1 << 22), vector_of_mask=[0] * 999)),
+            "999 masks with vectors of 1048576 numbers are too many",
+        ),
         ((MASKS, vector_message(dimensions=1, vectors=bytes(4), vector_of_mask=[0])), "a vector has not 3 numbers"),
         ((mask_message(x1=33, y1=1, bits=bytes(5), kind="object"), VECTORS), "mask 0 reaches out of the picture"),
         ((mask_message(x1=32, y1=24, bits=bytes(5), kind="object"), VECTORS), "expected 96 bytes for box"),

@@ -61,6 +61,8 @@ _MESSAGES: dict[str, tuple[tuple[str, int | str, bool], ...]] = {
     ),
 }
 _FONT_SIZE = 12.0
+MAX_NUMBERS = 1 << 26
+"""In the vectors of all masks of a frame; equal ones are stored once, so that few bytes may claim more."""
 _COLORS = {"object": (0.1, 0.8, 0.3), "region": (0.2, 0.6, 1.0), "support": (1.0, 0.7, 0.1)}
 
 
@@ -166,6 +168,8 @@ def decode_embeddings(data: memoryview) -> tuple[tuple[str, str], NDArray[np.flo
         raise InputError(f"{len(message.vectors)} bytes are no vectors of {dimensions} float32 numbers")
     vectors = np.frombuffer(message.vectors, "<f4").reshape(-1, dimensions)
     rows = np.array(message.vector_of_mask, np.int64)
+    if len(rows) * dimensions > MAX_NUMBERS:
+        raise InputError(f"{len(rows)} masks with vectors of {dimensions} numbers are too many for a frame")
     if len(rows) and int(rows.max()) >= len(vectors):
         raise InputError(f"a mask has vector {int(rows.max())} of {len(vectors)}")
     return (message.frame_digest, message.stage_digest), vectors.astype(np.float32)[rows]
