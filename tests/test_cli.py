@@ -13,6 +13,7 @@ from maps import labelled_map
 from worlds import tiny_frames, write_scannet
 
 from openvox import __version__
+from openvox.apps.pictures import pictures
 from openvox.cli import main, options, progress, tables
 from openvox.core.errors import InputError
 from openvox.formats.map_npz import write_map
@@ -275,3 +276,61 @@ def test_info_tells_the_kind_of_a_file(recording: Path, capsys: pytest.CaptureFi
     assert capsys.readouterr().out.startswith("kind             recording\n")
     assert run("info", __file__) == 1
     assert "expected a recording, perception or trace (MCAP), or a map (npz)" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def replayed(recording: Path) -> Path:
+    """The recording's map, made of its own ground truth; the trace lies beside it."""
+    words = ("perceive", recording, "--frontend", "oracle", "--set", "oracle.min_pixels=1")
+    assert run(*words) == 0
+    assert run("replay", recording, "--set", "masks.min_pixels=0", "--set", "finish.min_voxels=1") == 0
+    return recording.with_name("tiny.map.npz")
+
+
+def test_replay_tells_speed_rules_digests_and_files(
+    replayed: Path, recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert run("replay", recording, "--out", tmp_path / "again", "--json") == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["frames"] == 4
+    assert set(result["ms"]) == {"decode", "masks", "project", "associate", "evolve", "trace"}
+    assert result["outputs"] == {
+        "map": str(tmp_path / "again.map.npz"),
+        "trace": str(tmp_path / "again.trace.mcap"),
+        "rerun": None,
+    }
+    assert run("replay", recording, "--out", tmp_path / "again") == 0
+    out = capsys.readouterr().out
+    assert out.startswith("4 frames in ")
+    assert f"map digest {result['digests']['map']}" in out
+    assert f"wrote {tmp_path / 'again.trace.mcap'}" in out
+
+
+def test_explain_shows_each_mask_of_a_frame(replayed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    trace = replayed.with_name("tiny.trace.mcap")
+    assert run("explain", trace, "--frame", "2", "--json") == 0
+    decisions = json.loads(capsys.readouterr().out)["decisions"]
+    assert run("explain", trace, "--frame", "2") == 0
+    out = capsys.readouterr().out
+    assert out.startswith(f"frame 2: {len(decisions)} masks\n")
+    assert all(decision["caption"] in out for decision in decisions)
+    assert run("explain", trace, "--frame", "9") == 1
+    assert "frame 9 was not mapped" in capsys.readouterr().err
+
+
+def test_evaluate_names_its_scores(replayed: Path, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    capsys.readouterr()
+    assert run("evaluate", replayed, "--truth", recording) == 0
+    out = capsys.readouterr().out
+    assert "instances_in_voxel" in out
+    assert "predicted " in out
+
+
+def test_pictures_are_drawn_of_the_map_and_of_a_frame(replayed: Path, tmp_path: Path) -> None:
+    drawn = pictures(replayed, 2, tmp_path)
+    assert drawn == {"map": str(tmp_path / "map.png"), "frame": str(tmp_path / "frame.png")}
+    assert all(Path(path).read_bytes().startswith(b"\x89PNG") for path in drawn.values())
+    with pytest.raises(InputError, match="frame 9 was not mapped"):
+        pictures(replayed, 9, tmp_path)

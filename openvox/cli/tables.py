@@ -80,6 +80,10 @@ def _cell(value: Any) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in str(value))
 
 
+INLINE = 90
+"""Characters up to which a nested object stays on its line."""
+
+
 def pairs(data: Data) -> None:
     """Name and value, one a line, nested objects indented."""
     _print_pairs(data, "")
@@ -88,13 +92,14 @@ def pairs(data: Data) -> None:
 def _print_pairs(data: Data, indent: str) -> None:
     width = max((len(str(key)) for key in data), default=0)
     for key, value in data.items():
-        if isinstance(value, Mapping) and any(isinstance(item, (Mapping, list)) for item in value.values()):
-            print(f"{indent}{key}")
+        name = str(key) if "." in str(key) else str(key).replace("_", " ")  # a parameter keeps its name
+        if isinstance(value, list) and value and isinstance(value[0], Mapping):
+            _print_table(list(value[0]), [list(row.values()) for row in value], name)
+        elif isinstance(value, Mapping) and len(_cell(value)) > INLINE:
+            print(f"{indent}{name}")
             _print_pairs(value, indent + "  ")
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            _print_table(list(value[0]), [list(row.values()) for row in value], str(key))
         else:
-            print(f"{indent}{str(key).replace('_', ' '):<{width}}  {_cell(value) or '-'}")
+            print(f"{indent}{name:<{width}}  {_cell(value) or '-'}")
 
 
 def ingest(data: Data) -> None:
@@ -206,9 +211,30 @@ def evaluate(data: Data) -> None:
     _notes(data)
 
 
+DECISION = ("mask", "caption", "by", "instance", "voxels", "s_geo", "s_fea", "a", "visibility", "credibility")
+LISTED = 4
+
+
 def explain(data: Data) -> None:
-    """The decisions of one frame, each with its candidates."""
-    pairs(data)
+    """The decisions of one frame, each with its best candidates, and what they led to."""
+    if not data["looked"]:
+        print(f"frame {data['frame']}: perception did not look at it, so nothing was decided")
+        return
+    print(f"frame {data['frame']}: {len(data['decisions'])} masks")
+    if data["decisions"]:
+        _print_table(
+            ["mask", "caption", "rule", "instance", "voxels", "S_geo", "S_fea", "A", "R", "w", "candidates by A"],
+            [[*(decision[name] for name in DECISION), _candidates(decision)] for decision in data["decisions"]],
+            f"threshold of A: {data['decisions'][0]['threshold']:.3f}",
+        )
+    for event in data["events"]:
+        print(f"instance {event['instance']} {event['kind']}: {_cell(event['text'])}")
+
+
+def _candidates(decision: Data) -> str:
+    """The best few, as instance and A."""
+    texts = [f"{c['instance']}: {c['a']:.2f}" for c in decision["candidates"]]
+    return "  ".join(texts[:LISTED]) + ("  ..." if len(texts) > LISTED else "")
 
 
 def parameters(data: Data) -> None:

@@ -1,0 +1,46 @@
+"""pictures: a map and one of its frames as PNG files, without a screen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from openvox.core.errors import InputError
+from openvox.core.types import Candidate, Decision
+from openvox.formats.map_npz import read_map
+from openvox.formats.perception import read_masks
+from openvox.formats.recording import read_frames, recording_info
+from openvox.formats.trace import read_trace
+
+MAP_SUFFIX = ".map.npz"
+
+
+def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
+    """Write map.png, and frame.png with the detected masks beside those of the map; their paths by name.
+
+    map_file: STEM.map.npz with STEM.trace.mcap beside it; the recording and its perception are found as the map names
+    them. frame: its number. Raises InputError, OutputError."""
+    from openvox.view.pictures import draw_frame, draw_map  # cv2, numba
+
+    result = read_map(map_file)
+    trace = map_file.with_name(map_file.name.removesuffix(MAP_SUFFIX) + ".trace.mcap")
+    recording, perception = (map_file.parent / str(result.meta.get(name)) for name in ("recording", "perception"))
+    if recording_info(recording).digest != result.meta["digests"]["recording"]:
+        raise InputError(f"{recording} is not the recording that {map_file} was made from; replay it")
+    seen = next(read_frames(recording, start=frame, end=frame + 1, truth=False), None)
+    masks = next(read_masks(perception, start=frame, end=frame + 1), None)
+    step = next(read_trace(trace, frame), None)
+    if seen is None or masks is None or step is None or step.frame != frame:
+        raise InputError(f"{map_file}: frame {frame} was not mapped, or nobody looked for masks in it; choose another")
+    out = {"map": folder / "map.png", "frame": folder / "frame.png"}
+    draw_map(result, out["map"])
+    draw_frame(seen, masks.masks, [_decision(row) for row in step.decisions], result, out["frame"])
+    return {name: str(path) for name, path in out.items()}
+
+
+def _decision(row: Mapping[str, Any]) -> Decision:
+    """A decision as it was before the trace wrote it."""
+    fields = {name: row[name] for name in Decision.__dataclass_fields__}
+    candidates = tuple(Candidate(**candidate) for candidate in row["candidates"])
+    return Decision(**{**fields, "held": tuple(row["held"]), "candidates": candidates})
