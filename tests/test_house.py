@@ -79,3 +79,8 @@ def test_no_file_speaks_of_the_place_where_it_was_written() -> None:
 @pytest.mark.parametrize("name", ["README.md", "pyproject.toml", "openvox/core/types.py", "tools/setup", ".ci/run"])
 def test_the_search_covers_every_kind_of_file(name: str) -> None:
     assert ROOT / name in set(project_files())
+
+
+def test_the_recordings_that_come_along_are_small() -> None:
+    size = sum(path.stat().st_size for path in (ROOT / "recordings").rglob("*") if path.is_file())
+    assert size < 15_000_000
