@@ -116,27 +116,19 @@ class Pose:
 
 def _quaternion(m: list[list[float]]) -> tuple[float, float, float, float]:
     """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix; the largest component first for accuracy."""
-    traces = (
-        m[0][0] - m[1][1] - m[2][2],
-        m[1][1] - m[0][0] - m[2][2],
-        m[2][2] - m[0][0] - m[1][1],
-        m[0][0] + m[1][1] + m[2][2],
-    )
-    largest = max(range(4), key=lambda i: (traces[i], -i))
-    r = math.sqrt(max(0.0, 1.0 + traces[largest]))
+    trace = m[0][0] + m[1][1] + m[2][2]
+    sizes = (*(2.0 * m[i][i] - trace for i in range(3)), trace)
+    largest = max(range(4), key=lambda i: (sizes[i], -i))
+    r = math.sqrt(max(0.0, 1.0 + sizes[largest]))
     s = 0.5 / r
-    if largest == 3:
-        q = ((m[2][1] - m[1][2]) * s, (m[0][2] - m[2][0]) * s, (m[1][0] - m[0][1]) * s, 0.5 * r)
-    else:
+    parts = [(m[2][1] - m[1][2]) * s, (m[0][2] - m[2][0]) * s, (m[1][0] - m[0][1]) * s, 0.5 * r]
+    if largest < 3:
         i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-        parts = [0.0, 0.0, 0.0]
-        parts[i] = 0.5 * r
-        parts[j] = (m[j][i] + m[i][j]) * s
-        parts[k] = (m[k][i] + m[i][k]) * s
-        q = (parts[0], parts[1], parts[2], (m[k][j] - m[j][k]) * s)
-    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-    sign = -1.0 if q[3] < 0 else 1.0
-    return (q[0] * sign / norm, q[1] * sign / norm, q[2] * sign / norm, q[3] * sign / norm)
+        parts[3] = (m[k][j] - m[j][k]) * s
+        parts[i], parts[j], parts[k] = 0.5 * r, (m[j][i] + m[i][j]) * s, (m[k][i] + m[i][k]) * s
+    x, y, z, w = parts
+    norm = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
+    return (x / norm, y / norm, z / norm, w / norm)
 
 
 @dataclass(frozen=True, slots=True)

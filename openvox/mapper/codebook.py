@@ -55,6 +55,12 @@ class Fragment:
         if caption:
             self.captions[caption] = self.captions.get(caption, 0) + support
 
+    def pass_on(self, piece: Fragment) -> None:
+        """Give a piece that is cut off this fragment's memory: what was seen of the whole was seen of the piece."""
+        piece.first_frame, piece.total, piece.weight = self.first_frame, self.total, self.weight
+        piece.direction, piece.square, piece.captions = self.direction, self.square, dict(self.captions)
+        piece.matched, piece.seen = self.matched, self.seen
+
 
 @dataclass(frozen=True, eq=False)
 class Memory:

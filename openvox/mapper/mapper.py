@@ -153,6 +153,7 @@ class Mapper:
             kept, associations, region.voxels_of_mask, look.fragments, look.overlap, nesting, self.parameters
         ):
             piece = self._new_fragment(frame)
+            self._fragments[cut.fragment].pass_on(self._fragments[piece])
             rows, votes = self._engine.move(region, look, cut.mask, cut.fragment, piece)
             moved.append((rows, cut.fragment, piece))
             one = associations[cut.mask]

@@ -113,8 +113,8 @@ def choose_targets(
 ):  # fmt: skip
     """The fragment that each (voxel, mask) pair votes for: > 0, 0 = background, EMPTY = nothing.
 
-    held: (masks, columns) bool, the mask holds the fragment; main: (masks,) the fragment of what nobody holds;
-    undecided: (masks,) bool, what nobody holds votes for nothing; matched: (columns,) bool, some mask holds it.
+    held: (masks, columns) bool, the mask holds the fragment; main: (masks,) the fragment of what is new;
+    undecided: (masks,) bool, what is new votes for nothing; matched: (columns,) bool, some mask holds it.
     A voxel under no mask votes for background if its fragment is matched (the detector saw the thing and left this
     voxel out) or if it has none; an unmatched fragment may have been missed."""
     target = np.empty(pair_voxel.size, np.int32)
@@ -139,10 +139,9 @@ def choose_targets(
                 ):
                     best, votes = fragment[slot], count[slot]
                 slot = following[slot]
-        if undecided[mask]:
-            target[p] = EMPTY
-        else:
-            target[p] = best if best != 0 else main[mask]
+        if best == 0 and not undecided[mask]:
+            best = main[mask]
+        target[p] = best if best != 0 else EMPTY
     return target
 
 
