@@ -59,7 +59,7 @@ def cuts(
 ) -> list[Cut]:
     """The cuts that this frame asks for, by fragment, then by mask.
 
-    voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks with enough of the fragment,
+    voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks that hold the fragment and have enough of it,
     the largest keeps it; every other one that is mostly this fragment and not nested with the keeper takes its part."""
     share = fixedpoint.millionths(parameters.evolution.cut_share)
     able = [
@@ -71,7 +71,7 @@ def cuts(
     for column, fragment in enumerate(columns.tolist()):
         common = overlap[:, column].tolist()
         least = max(MIN_CUT * fixedpoint.MILLION, share * sum(common[:-1]))
-        under = [m for m in able if fixedpoint.MILLION * common[m] >= least]
+        under = [m for m in able if fragment in associations[m].held and fixedpoint.MILLION * common[m] >= least]
         if len(under) < 2:
             continue
         keeper = max(under, key=lambda m: (int(voxels[m]), -m))
