@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from worlds import tiny_frames, write_scannet
 
 from openvox import __version__
 from openvox.apps.pictures import pictures
-from openvox.cli import main, options, progress, tables
+from openvox.cli import commands, main, options, progress, tables
 from openvox.core.errors import InputError
+from openvox.core.mapper_parameters import PRESETS
 from openvox.formats.map_npz import write_map
 from openvox.perception.encoder import encoder
+from openvox.sources import FORMATS
 
 
 def run(*words: str | Path) -> int:
@@ -334,3 +337,8 @@ def test_pictures_are_drawn_of_the_map_and_of_a_frame(replayed: Path, tmp_path: 
     assert all(Path(path).read_bytes().startswith(b"\x89PNG") for path in drawn.values())
     with pytest.raises(InputError, match="frame 9 was not mapped"):
         pictures(replayed, 9, tmp_path)
+
+
+def test_the_choices_of_an_option_are_those_there_are() -> None:
+    assert get_args(get_type_hints(commands.replay)["preset"]) == tuple(PRESETS)
+    assert get_args(get_type_hints(commands.ingest)["layout"]) == ("auto", *FORMATS)

@@ -42,7 +42,7 @@ HEAVY = ("torch", "rerun", "numba", "cv2", "numpy", "onnxruntime")
 
 
 def imports(source: str, package: str) -> Iterator[str]:
-    """Dotted names of everything that a module imports, wherever it does, also as text "openvox.room.file:name"."""
+    """Dotted names of everything that a module imports, wherever it does, also as text "openvox.room.file"."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -51,7 +51,7 @@ def imports(source: str, package: str) -> Iterator[str]:
             base = ".".join([*parent, *([node.module] if node.module else [])])
             yield from (f"{base}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            named = re.fullmatch(r"(openvox(\.\w+)+):\w+", node.value)
+            named = re.fullmatch(r"(openvox(\.\w+){2,})(:\w+)?", node.value)
             if named:
                 yield named[1]
 
