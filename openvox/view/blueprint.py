@@ -27,9 +27,10 @@ def overview(result: InstanceMap) -> Eye:
     instances = result.voxel_instance > 0
     points = centres(result.voxel_index[instances], result.voxel_size)
     azimuth = best_azimuth(result, lambda _map, _azimuth: instances)
-    eye = from_above(points, VIEW, azimuth)[:3, 3]
-    middle = (points.min(0) + points.max(0)) / 2
-    return Eye((float(eye[0]), float(eye[1]), float(eye[2])), (float(middle[0]), float(middle[1]), float(middle[2])))
+    pose = from_above(points, VIEW, azimuth)
+    position, forward = pose[:3, 3], pose[:3, 2]
+    target = position + forward * float(((points - position) @ forward).mean())
+    return Eye(tuple(position.tolist()), tuple(target.tolist()))
 
 
 def blueprint(eye: Eye | None = None) -> rrb.Blueprint:
@@ -54,7 +55,7 @@ def blueprint(eye: Eye | None = None) -> rrb.Blueprint:
         _spatial("Map, coloured by confidence", f"- {entities.INSTANCES}/**", eye),
     )
     return rrb.Blueprint(
-        rrb.Horizontal(maps, pictures, numbers, column_shares=[5, 4, 7]),
+        rrb.Horizontal(maps, pictures, numbers, column_shares=[10, 8, 15]),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),

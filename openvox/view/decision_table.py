@@ -12,7 +12,7 @@ from openvox.core.types import Decision, Mask, Step
 from openvox.view.labels import shortened
 
 Q12 = 1 << 12
-CAPTION = 25
+CAPTION = 24
 """Letters of a caption in the table; the whole one is in the data."""
 NONE = "-"
 HEAD = "| # | caption | instance | decided by | A / threshold | S_geo | S_fea | next best (A) | R | w |"
@@ -35,10 +35,8 @@ def markdown(step: Step) -> str:
 
 
 def _row(decision: Decision, mask: Mask) -> str:
-    joined = decision.instance != 0 and decision.by != "new"
-    s_geo, s_fea, a = (
-        f"{value / Q20:.2f}" if joined else NONE for value in (decision.s_geo, decision.s_fea, decision.a)
-    )
+    scores = (decision.s_geo, decision.s_fea, decision.a)  # all 0 with an instance that is new
+    s_geo, s_fea, a = (f"{score / Q20:.2f}" if any(scores) else NONE for score in scores)
     others = [candidate for candidate in decision.candidates if candidate.instance != decision.instance]
     cells = [
         str(decision.mask),
