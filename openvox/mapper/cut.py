@@ -59,8 +59,9 @@ def cuts(
 ) -> list[Cut]:
     """The cuts that this frame asks for, by fragment, then by mask.
 
-    voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks that hold the fragment and have enough of it,
-    the largest keeps it; every other one that is mostly this fragment and not nested with the keeper takes its part."""
+    voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks that hold the fragment and
+    have enough of it, the largest keeps it; every other one that is mostly this fragment and not nested with the keeper
+    takes its part."""
     share = fixedpoint.millionths(parameters.evolution.cut_share)
     able = [
         m
