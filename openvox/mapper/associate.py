@@ -15,7 +15,7 @@ from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.types import Candidate, Mask
 from openvox.mapper import equations
-from openvox.mapper.codebook import Fragment, Memory, memory_of
+from openvox.mapper.codebook import Fragment, feature_of
 
 MIN_OVERLAP = 4
 """Voxels of a fragment that must lie under a mask before the mask can hold it by the fragment's side."""
@@ -46,39 +46,38 @@ def associate_frame(
     overlap: NDArray[np.int64],
     fragments: Mapping[int, Fragment],
     instance_of: Mapping[int, int],
+    members_of: Mapping[int, Sequence[int]],
     parameters: MapperParameters,
 ) -> list[Association]:
     """One association a mask; masks are independent of each other given the map before the frame, eqs. 2 to 5.
 
     masks: None where a mask is skipped as too small; features (D,) as rint(127 f); voxels (masks,) |V_m|; columns (f,)
-    fragment ids; theta_sum, overlap (masks + 1, f). A mask that is to found a fragment has main = 0 and by = "new"."""
+    fragment ids; theta_sum, overlap (masks + 1, f); members_of: all fragments of an instance. A mask that is to found a
+    fragment has main = 0 and by = "new"."""
     members = _columns_by_instance(columns, instance_of)
-    memories = {
-        instance: memory_of(fragments[int(columns[column])] for column in group) for instance, group in members.items()
-    }
+    pieces = {instance: [fragments[f] for f in members_of[instance]] for instance in members}
+    known = {instance: feature_of(group) for instance, group in pieces.items()}
     out = []
     for m, mask in enumerate(masks):
         one = Association(m, int(voxels[m]), by="small" if mask is None else "empty" if voxels[m] == 0 else "new")
         if one.by == "new":
-            one.candidates = _candidates(
-                theta_sum[m], overlap[m], members, memories, features[m], one.voxels, parameters
-            )
+            one.candidates = _candidates(theta_sum[m], overlap[m], members, known, features[m], one.voxels, parameters)
         out.append(one)
     if parameters.association.containment:
         _contain(out, voxels, columns, overlap)
     _exceed(out, members, columns, theta_sum, parameters)
     for one in out:
-        _judge(one, memories, instance_of)
+        _judge(one, pieces, instance_of)
     return out
 
 
-def _judge(one: Association, memories: Mapping[int, Memory], instance_of: Mapping[int, int]) -> None:
+def _judge(one: Association, pieces: Mapping[int, Sequence[Fragment]], instance_of: Mapping[int, int]) -> None:
     """Visibility and credibility of a mask that joined an instance; a founder's feature enters with weight 1."""
     if not one.main:
         return
     instance = instance_of[one.main]
     one.chosen = next(candidate for candidate in one.candidates if candidate.instance == instance)
-    one.visibility = equations.visibility_ratio(one.voxels, memories[instance].voxels)
+    one.visibility = equations.visibility_ratio(one.voxels, sum(part.voxels for part in pieces[instance]))
     one.credibility = equations.credibility(one.chosen.a, one.visibility)
 
 
@@ -93,7 +92,7 @@ def _candidates(
     theta_sum: NDArray[np.int64],
     overlap: NDArray[np.int64],
     members: Mapping[int, list[int]],
-    memories: Mapping[int, Memory],
+    known: Mapping[int, tuple[NDArray[np.int64], int]],
     feature: NDArray[np.int64] | None,
     voxels: int,
     parameters: MapperParameters,
@@ -112,8 +111,8 @@ def _candidates(
         s_geo = equations.geometric_similarity(total, voxels)
         s_fea = 0
         if feature is not None:
-            direction = memories[instance].direction
-            s_fea = equations.feature_similarity(int(direction @ feature), int(direction @ direction), square_mask)
+            direction, square = known[instance]
+            s_fea = equations.feature_similarity(int(direction @ feature), square, square_mask)
         a = equations.association_probability(s_geo, s_fea, weight_geometry, weight_feature)
         out.append(Candidate(instance, common, s_geo, s_fea, a))
     return tuple(sorted(out, key=lambda candidate: (-candidate.a, candidate.instance)))

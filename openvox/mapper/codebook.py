@@ -7,7 +7,7 @@ for every set of fragments.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -80,10 +80,13 @@ class Memory:
     last_frame: int
     voxels: int
 
-    @property
-    def direction(self) -> NDArray[np.int64]:
-        """The feature shortened to 20 bits a component."""
-        return fixedpoint.shortened(self.total)
+
+def feature_of(fragments: Sequence[Fragment]) -> tuple[NDArray[np.int64], int]:
+    """The codebook feature of an instance from its fragments, shortened to 20 bits, and its square; at least one."""
+    if len(fragments) == 1:
+        return fragments[0].direction, fragments[0].square
+    direction = fixedpoint.shortened(np.sum([part.total for part in fragments], axis=0))
+    return direction, int(direction @ direction)
 
 
 def memory_of(fragments: Iterable[Fragment]) -> Memory:

@@ -34,11 +34,14 @@ class Evidence:
         self._component: dict[int, tuple[int, ...]] = {}
         self.instance_of: dict[int, int] = {}
         """Smallest fragment id of each fragment's instance."""
+        self.members: dict[int, tuple[int, ...]] = {}
+        """Fragments of each instance, ascending."""
 
     def add_fragment(self, f: int) -> None:
         """A fragment of its own."""
         self._component[f] = (f,)
         self.instance_of[f] = f
+        self.members[f] = (f,)
         self._neighbours[f] = set()
 
     def add_together(self, f: int, g: int, amount: int) -> None:
@@ -78,8 +81,15 @@ class Evidence:
             if f not in done:
                 component = self._reach(f)
                 done.update(component)
-                for g, instance in cluster(component, self._edges(component)).items():
-                    self._component[g], self.instance_of[g] = component, instance
+                self._regroup(component)
+
+    def _regroup(self, component: tuple[int, ...]) -> None:
+        groups: dict[int, list[int]] = {}
+        for f, instance in cluster(component, self._edges(component)).items():
+            self._component[f], self.instance_of[f] = component, instance
+            groups.setdefault(instance, []).append(f)
+            self.members.pop(f, None)
+        self.members.update((instance, tuple(group)) for instance, group in groups.items())
 
     def _reach(self, f: int) -> tuple[int, ...]:
         reached, waiting = {f}, [f]

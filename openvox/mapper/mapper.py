@@ -47,7 +47,7 @@ class Mapper:
         self._evidence = Evidence(parameters.lifecycle)
         self._life = Life(parameters.finish)
         self._looked = 0
-        self._dimensions = 0
+        self._dimensions: int | None = None
 
     def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
         """Associate the frame's masks with the map before it, then let the map evolve.
@@ -67,7 +67,7 @@ class Mapper:
         features = [None if mask.embedding is None else fixedpoint.quantised(mask.embedding) for mask in masks]
         associations = associate_frame(
             kept, features, region.voxels_of_mask, look.fragments, look.theta_sum, look.overlap,
-            self._fragments, self._evidence.instance_of, self.parameters,
+            self._fragments, self._evidence.instance_of, self._evidence.members, self.parameters,
         )  # fmt: skip
         self._lap("evolve")
         before = dict(self._evidence.instance_of)
@@ -91,7 +91,7 @@ class Mapper:
             self._fragments,
             self._evidence.instance_of,
             self._life,
-            self._dimensions,
+            self._dimensions or 0,
             self.parameters,
         )
 
@@ -107,14 +107,13 @@ class Mapper:
                     f"frame {frame.index}, mask {m}: its box {mask.box} leaves the colour image of "
                     f"{camera.width}x{camera.height}; was it made for another recording?"
                 )
-            if mask.embedding is None:
-                continue
-            if self._dimensions not in (0, len(mask.embedding)):
+            dimensions = 0 if mask.embedding is None else len(mask.embedding)
+            if self._dimensions not in (None, dimensions):
                 raise InputError(
-                    f"frame {frame.index}, mask {m}: its embedding has {len(mask.embedding)} numbers, earlier ones "
+                    f"frame {frame.index}, mask {m}: its embedding has {dimensions} numbers, earlier ones "
                     f"{self._dimensions}; run perceive with one encoder for the whole recording"
                 )
-            self._dimensions = len(mask.embedding)
+            self._dimensions = dimensions
 
     # ---- evolution ---------------------------------------------------------------------------------------------------
 
@@ -130,7 +129,7 @@ class Mapper:
 
     def _new_fragment(self, frame: Frame) -> int:
         f = len(self._fragments) + 1
-        self._fragments[f] = Fragment(f, frame.index, frame.index, np.zeros(self._dimensions, np.int64))
+        self._fragments[f] = Fragment(f, frame.index, frame.index, np.zeros(self._dimensions or 0, np.int64))
         self._evidence.add_fragment(f)
         return f
 

@@ -124,14 +124,14 @@ def count_pixels(depth, skip, labels, max_mm, x, y, a, b, c, registered, rotatio
                     slot = (slot + 1) & mask
                 voxel = np.int64(table[slot])
                 if voxel < 0:
-                    voxel = voxels
+                    voxel = np.int64(voxels)
                     keys[voxel], first[voxel], table[slot] = key, EMPTY, voxel
                     voxels += 1
             entry = np.int64(first[voxel])
             while entry >= 0 and entry_label[entry] != label:
                 entry = np.int64(entry_next[entry])
             if entry < 0:
-                entry = entries
+                entry = np.int64(entries)
                 entry_voxel[entry], entry_label[entry], entry_pixels[entry] = voxel, label, 0
                 entry_next[entry], first[voxel] = first[voxel], entry
                 entries += 1
