@@ -34,6 +34,7 @@ class Nesting:
     def __init__(self, masks: Sequence[Mask | None], share: float) -> None:
         self._masks = masks
         self._share = fixedpoint.millionths(share)
+        self._areas = [0 if mask is None else mask.area for mask in masks]
         self._known: dict[tuple[int, int], bool] = {}
 
     def __call__(self, a: int, b: int) -> bool:
@@ -43,9 +44,14 @@ class Nesting:
             first, second = self._masks[a], self._masks[b]
             assert first is not None
             assert second is not None
-            smaller = min(first.area, second.area)
-            self._known[key] = fixedpoint.MILLION * common_pixels(first, second) >= self._share * smaller
+            common = common_pixels(first, second) if _overlap(first.box, second.box) else 0
+            smaller = min(self._areas[a], self._areas[b])
+            self._known[key] = fixedpoint.MILLION * common >= self._share * smaller
         return self._known[key]
+
+
+def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
 def cuts(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
 
 UNKNOWN = -1
@@ -53,31 +54,33 @@ def common_pixels(bits_a, box_a, bits_b, box_b):
 
 
 @njit(cache=True, nogil=True)
-def blur_borders(image, radius, uniform_row, out):
+def blur_borders(image, radius, uniform, out):
     """`out` = image, but UNKNOWN within `radius` pixels (square) of a pixel with another label.
 
-    uniform_row: (h, w) uint8, scratch."""
+    uniform: (h, w) uint8, scratch. Runs of equal labels are counted along rows, then along columns."""
     height, width = image.shape
     for v in range(height):
         run = 0
-        for u in range(width):  # run: equal labels ending at u
+        for u in range(width):
             run = run + 1 if u > 0 and image[v, u] == image[v, u - 1] else 1
-            uniform_row[v, u] = 1 if run > radius or run == u + 1 else 0
+            uniform[v, u] = run > radius or run == u + 1
         run = 0
         for u in range(width - 1, -1, -1):
             run = run + 1 if u < width - 1 and image[v, u] == image[v, u + 1] else 1
-            if not (run > radius or run == width - u):
-                uniform_row[v, u] = 0
+            uniform[v, u] &= run > radius or run == width - u
+    runs = np.zeros(width, np.int32)
     for v in range(height):
-        low, high = max(0, v - radius), min(height - 1, v + radius)
         for u in range(width):
-            label = image[v, u]
-            keep = True
-            for near in range(low, high + 1):
-                if uniform_row[near, u] == 0 or image[near, u] != label:
-                    keep = False
-                    break
-            out[v, u] = label if keep else UNKNOWN
+            same = v > 0 and image[v, u] == image[v - 1, u]
+            runs[u] = (runs[u] * same + 1) * uniform[v, u]
+            out[v, u] = image[v, u] if runs[u] > radius or runs[u] == v + 1 else UNKNOWN
+    runs[:] = 0
+    for v in range(height - 1, -1, -1):
+        for u in range(width):
+            same = v < height - 1 and image[v, u] == image[v + 1, u]
+            runs[u] = (runs[u] * same + 1) * uniform[v, u]
+            if not (runs[u] > radius or runs[u] == height - v):
+                out[v, u] = UNKNOWN
 
 
 @njit(cache=True, nogil=True)

@@ -232,11 +232,13 @@ def counts_of(rows, fragments, heads, backgrounds, fragment, count, following):
 
 @njit(cache=True, nogil=True)
 def owners(rows, heads, backgrounds, fragment, count, following):
-    """Owner of each row and its share of all votes in Q20 (background's share where there is no owner)."""
+    """Owner of each row and its share of all votes in Q20 (background's where there is no owner); 0 for EMPTY rows."""
     owner = np.zeros(rows.size, np.int32)
     share = np.zeros(rows.size, np.int32)
     for i in range(rows.size):
         row = rows[i]
+        if row == EMPTY:
+            continue
         best, votes = strongest(heads[row], fragment, count, following)
         if votes > backgrounds[row]:
             owner[i] = best
