@@ -128,7 +128,8 @@ class LifecycleParameters:
         True,
         "",
         needs="lifecycle.evidence",
-        why="two nameless regions do not contradict each other, support-split pieces do so twice; a detector's mask joins threefold where the frame has regions too",
+        why="evidence by kind of mask: two regions contradict each other half, or not at all where the frame has other masks; "
+        "support-split pieces twice; a detector's mask joins threefold where the frame has regions too",
     )
 
 

@@ -117,8 +117,10 @@ def count_pairs(
 
 
 def _contradiction(a: int, b: int, kinds: Sequence[str], nesting: Nesting) -> int:
-    """How much two masks say that what they hold is two things: 2, half if nested, twice if split off a support."""
+    """How much two masks say that what they hold is two things: 2, half if nested, twice if split off a support.
+
+    Two regions may be pieces of one thing: they say nothing where the frame has masks that know better, else half."""
     if kinds[a] == kinds[b] == "region":
-        return 0
+        return 0 if "object" in kinds or "support" in kinds else 1
     amount = 1 if nesting(a, b) else 2
     return 2 * amount if "support" in (kinds[a], kinds[b]) else amount
