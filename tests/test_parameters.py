@@ -122,7 +122,7 @@ def test_every_parameter_of_a_preset_is_described_and_within_its_range(name: str
         assert row.why, row.name
         assert row.range, row.name
         assert not row.needs or isinstance(values[row.needs], bool), row.name
-        assert updated(OPENVOX, {row.name: values[row.name]}, source="test", used_only=False) is not None
+        assert updated(OPENVOX, {row.name: values[row.name]}, source="test") is not None
 
 
 def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
@@ -135,3 +135,21 @@ def test_a_rule_of_the_openvox_preset_cannot_be_tuned_in_the_paper_preset() -> N
         InputError, match=r"lifecycle\.contradiction has no effect here, because lifecycle\.evidence is off"
     ):
         updated(PAPER, {"lifecycle.contradiction": "2"}, source="--set")
+
+
+def test_what_rests_on_a_switch_goes_off_with_it() -> None:
+    chosen = as_dict(updated(OPENVOX, {"association.containment": False}, source="--set"))
+    rests = ("evolution.voxel_votes", "lifecycle.evidence", "evolution.abstention", "evolution.cut", "lifecycle.kinds")
+    assert {name: chosen[name] for name in rests} == dict.fromkeys(rests, False)
+    assert chosen["evolution.background"] is True
+
+
+def test_to_switch_off_what_is_off_is_no_error() -> None:
+    changes = {"association.containment": False, "evolution.cut": False}
+    assert as_dict(updated(OPENVOX, changes, source="--set"))["evolution.cut"] is False
+
+
+def test_openvox_without_its_rules_is_paper() -> None:
+    switches = ("masks.one_vote", "association.containment", "evolution.background", "finish.existence")
+    numbers = {"masks.min_pixels": 0, "finish.smoothing": 0}
+    assert updated(OPENVOX, {**dict.fromkeys(switches, False), **numbers}, source="test") == PAPER

@@ -185,7 +185,7 @@ PAPER = MapperParameters(
     masks=replace(OPENVOX.masks, min_pixels=0, one_vote=False),
     association=replace(OPENVOX.association, containment=False),
     evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, cut=False),
-    lifecycle=replace(OPENVOX.lifecycle, evidence=False),
+    lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
     finish=replace(OPENVOX.finish, smoothing=0, existence=False),
 )
 PRESETS = {"openvox": OPENVOX, "paper": PAPER}

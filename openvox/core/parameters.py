@@ -83,11 +83,11 @@ def as_dict(parameters: Any) -> dict[str, Value]:
     }
 
 
-def updated(parameters: Set, changes: Mapping[str, Value], *, source: str, used_only: bool = True) -> Set:
+def updated(parameters: Set, changes: Mapping[str, Value], *, source: str) -> Set:
     """A copy of the set with some values replaced, each checked.
 
     changes: dotted name to value; text is read as the parameter's type. source: named in errors (a file, "--set").
-    used_only: refuse a parameter that is switched off in the result. Raises InputError.
+    What rests on a switch that is off is switched off with it. Raises InputError, also where a change has no effect.
     """
     described = {row.name: row for row in describe(parameters)}
     values = as_dict(parameters)
@@ -97,14 +97,14 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str, used_
             hint = f"; did you mean {near[0]}?" if near else "; openvox info --parameters lists all"
             raise InputError(f"{source}: there is no parameter {name!r}{hint}")
         values[name] = _checked(described[name], raw, source)
-    if used_only:
-        for name in changes:
-            needs = described[name].needs
-            if needs and not values[needs]:
-                raise InputError(
-                    f"{source}: {name} has no effect here, because {needs} is off; "
-                    f"set {needs}=true as well, or leave it out"
-                )
+    _switch_off(described, values)
+    for name in changes:
+        needs = described[name].needs
+        if needs and not values[needs] and _checked(described[name], changes[name], source) is not False:
+            raise InputError(
+                f"{source}: {name} has no effect here, because {needs} is off; "
+                f"set {needs}=true as well, or leave it out"
+            )
     groups = {}
     for group in dataclasses.fields(parameters):  # type: ignore[arg-type]
         old = getattr(parameters, group.name)
@@ -112,6 +112,15 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str, used_
             old, **{field.name: values[f"{group.name}.{field.name}"] for field in dataclasses.fields(old)}
         )
     return dataclasses.replace(parameters, **groups)  # type: ignore[type-var]
+
+
+def _switch_off(described: Mapping[str, Description], values: dict[str, Value]) -> None:
+    """Turn off every switch whose own switch is off, and what rests on those in turn."""
+    while True:
+        off = [name for name, row in described.items() if row.needs and values[name] is True and not values[row.needs]]
+        if not off:
+            return
+        values.update(dict.fromkeys(off, False))
 
 
 def _checked(row: Description, raw: Value, source: str) -> Value:
