@@ -342,3 +342,18 @@ def test_pictures_are_drawn_of_the_map_and_of_a_frame(replayed: Path, tmp_path: 
 def test_the_choices_of_an_option_are_those_there_are() -> None:
     assert get_args(get_type_hints(commands.replay)["preset"]) == tuple(PRESETS)
     assert get_args(get_type_hints(commands.ingest)["layout"]) == ("auto", *FORMATS)
+
+
+def test_an_interrupt_inside_a_kernel_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    from openvox.cli import INTERRUPTED, commands, main
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise SystemError("returned a result with an exception set") from interrupt
+
+    monkeypatch.setattr(commands, "app", interrupted)
+    with pytest.raises(SystemExit) as end:
+        main(["info", "x"])
+    assert end.value.code == INTERRUPTED

@@ -83,8 +83,8 @@ def test_a_recording_cut_anywhere_names_recover(whole: bytes, tmp_path: Path) ->
     path = tmp_path / "cut.mcap"
     for size in (*range(8, len(whole), 1000), len(whole) - 1):
         path.write_bytes(whole[:size])
-        assert "openvox recover" in sentence(path), size
-        with pytest.raises(InputError, match="openvox recover"):
+        assert "make it again from its source" in sentence(path), size
+        with pytest.raises(InputError, match="make it again from its source"):
             read_frames(path)  # at once, not at the first frame
 
 
@@ -125,7 +125,7 @@ def test_no_file_an_empty_file_a_folder_and_an_unfinished_file(whole: bytes, tmp
     (tmp_path / "folder.mcap").mkdir()
     assert "could not be read: Is a directory" in sentence(tmp_path / "folder.mcap")
     (tmp_path / "a.mcap.partial").write_bytes(whole)
-    assert "openvox recover" in sentence(tmp_path / "a.mcap.partial")
+    assert "make it again from its source" in sentence(tmp_path / "a.mcap.partial")
 
 
 # Whole MCAP files that are no whole recordings

@@ -10,6 +10,9 @@ from typing import NoReturn
 from openvox.core.errors import OpenvoxError
 
 
+INTERRUPTED = 130
+
+
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit: 0 done, 1 a sentence on stderr, 2 wrong usage, 130 interrupted.
 
@@ -24,11 +27,20 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         _flush()
         sys.exit(end.code)
     except Exception as error:
+        if _is_interrupt(error):
+            sys.exit(INTERRUPTED)
         if "--debug" in words:
             raise
         print(f"openvox: {_sentence(error)}", file=sys.stderr)
         sys.exit(1)
     sys.exit(0)
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Ctrl-C inside a compiled kernel arrives as the cause of another error."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _flush() -> None:

@@ -226,20 +226,20 @@ class _Records:
 def _opened(path: Path) -> Iterator[BinaryIO]:
     """The file, and everything that reading broken bytes can raise as one InputError."""
     if path.suffix == ".partial":
-        raise InputError(f"{path} is unfinished (being written, or left by a crash): save it with `openvox recover`")
+        raise InputError(f"{path} is unfinished (being written, or left by a crash): make it again from its source")
     try:
         with path.open("rb") as file:
             yield file
     except _BROKEN as error:
         raise InputError(
-            f"{path} is damaged ({type(error).__name__}: {error}): save what is whole with `openvox recover`"
+            f"{path} is damaged ({type(error).__name__}: {error}): copy it anew, or make it again from its source"
         ) from error
     except OSError as error:
         raise InputError(f"{path} could not be read: {error.strerror or error}") from error
 
 
 def _damage(path: Path, offset: int, what: str) -> InputError:
-    return InputError(f"{path} is damaged at byte {offset}: {what}; save what is whole with `openvox recover`")
+    return InputError(f"{path} is damaged at byte {offset}: {what}; copy it anew, or make it again from its source")
 
 
 def _summary(path: Path, file: BinaryIO) -> _Summary:
@@ -252,7 +252,7 @@ def _summary(path: Path, file: BinaryIO) -> _Summary:
     file.seek(max(footer_at, 0))
     tail = file.read()
     if footer_at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:
-        raise InputError(f"{path} is cut off: its end is missing; save what is whole with `openvox recover`")
+        raise InputError(f"{path} is cut off: its end is missing; copy it anew, or make it again from its source")
     opcode, length, start, _, expected = _FOOTER.unpack_from(tail)
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size or not len(MAGIC) <= start <= footer_at:
         raise _damage(path, footer_at, "the footer is wrong")

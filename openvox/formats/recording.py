@@ -295,7 +295,7 @@ def _counted(path: Path, frames: Iterator[Frame], record: Mapping[str, str]) -> 
     if record.get("frames") != str(count):
         raise InputError(
             f"{path} holds {count} frames, its metadata say {record.get('frames')}; frames were lost: "
-            "see what is there with `openvox recover`"
+            "make it again from its source"
         )
 
 
