@@ -9,7 +9,6 @@ from typing import NoReturn
 
 from openvox.core.errors import OpenvoxError
 
-
 INTERRUPTED = 130
 
 
