@@ -15,6 +15,8 @@ Points = NDArray[np.float64]
 """(n, 3), metres, world."""
 Shown = Callable[[InstanceMap, float], NDArray[np.bool_]]
 AZIMUTHS = 8
+NEAREST = 0.5
+"""Metres between the camera and the nearest point, however small the map."""
 ELEVATION = math.radians(40)
 FILL = 0.45
 """Half of the picture's sides that may be filled."""
@@ -67,7 +69,7 @@ def from_above(points: Points, camera: Intrinsics, azimuth: float) -> NDArray[np
     eye = np.array([*_middle(local[:, :2]), local[:, 2].min() - 1.0])
     for _ in range(4):  # how far away depends on the centre, and the centre on perspective
         aside = np.abs(local[:, :2] - eye[:2]) * (camera.fx / (FILL * camera.width), camera.fy / (FILL * camera.height))
-        eye[2] = (local[:, 2] - aside.max(1)).min()
+        eye[2] = (local[:, 2] - np.maximum(aside.max(1), NEAREST)).min()
         depth = (local[:, 2] - eye[2])[:, None]
         eye[:2] += _middle((local[:, :2] - eye[:2]) / depth) * float(depth.mean())
     pose = np.eye(4)
