@@ -90,10 +90,6 @@ class TraceWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop()
-        if kind is None and self._failure is not None:
-            failure = self._failure
-            self._file.__exit__(type(failure), failure, failure.__traceback__)
-            raise failure
         self._file.__exit__(kind, error, trace)
 
     def on_step(self, step: Step) -> None:
@@ -103,17 +99,18 @@ class TraceWriter:
         self._steps.put(step)
 
     def close(self, result: InstanceMap) -> None:
-        """All steps are on their way to the file; it is complete when the context ends."""
+        """All steps are in the file; it is complete when the context ends. Raises what the thread met."""
         self._stop()
-        if self._failure is None:
-            record = {
-                "format_version": str(FORMAT_VERSION),
-                "openvox_version": __version__,
-                "frames": str(self.frames),
-                "digest": self.digest,
-                "run": json.dumps(self._run, sort_keys=True),
-            }
-            self._file.metadata(METADATA, record)
+        if self._failure is not None:
+            raise self._failure
+        record = {
+            "format_version": str(FORMAT_VERSION),
+            "openvox_version": __version__,
+            "frames": str(self.frames),
+            "digest": self.digest,
+            "run": json.dumps(self._run, sort_keys=True),
+        }
+        self._file.metadata(METADATA, record)
 
     def _stop(self) -> None:
         if self._thread.is_alive():
