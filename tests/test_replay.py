@@ -178,3 +178,12 @@ def test_results_are_plain_numbers(recording: Path) -> None:
     assert json.loads(json.dumps(result)) == result
     assert set(result["ms"]) == {"decode", "masks", "project", "associate", "evolve", "trace"}
     assert np.isfinite(result["frames_per_second"])
+
+
+def test_what_finishing_drops_is_an_event_with_its_reason(recording: Path) -> None:
+    replayed(recording, sets=["finish.min_voxels=100000"])
+    last = list(read_trace(recording.with_name("tiny.trace.mcap")))[-1]
+    dropped = [event for event in last.events if event.kind == "dropped"]
+    assert dropped
+    assert {event.frame for event in dropped} == {3}
+    assert "voxels: too few" in dropped[0].text

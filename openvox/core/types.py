@@ -390,6 +390,8 @@ class InstanceMap:
     vote_unit: float
     instances: tuple[InstanceSummary, ...] = ()
     """As instance_id."""
+    events: tuple[Event, ...] = ()
+    """What finishing dropped, and why; not in the file."""
     meta: Mapping[str, Any] = field(default_factory=dict)
     """Format and tool version, encoder, preset, parameters, digests."""
     state: Mapping[str, NDArray[Any]] = field(default_factory=dict)

@@ -57,7 +57,7 @@ def read_map(path: Path) -> InstanceMap:
     lengths = check_layout(path, arrays, LAYOUT)
     if lengths["voxels + 1"] != lengths["voxels"] + 1:
         raise _wrong(path, "vote_offset", f"has {lengths['voxels + 1']} entries for {lengths['voxels']} voxels")
-    fields = {name: arrays[name] for name in LAYOUT}
+    fields: dict[str, Any] = {name: arrays[name] for name in LAYOUT}
     _check_votes(path, fields)
     _check_instances(path, fields)
     ids = [int(i) for i in fields["instance_id"]]

@@ -78,6 +78,7 @@ class TraceWriter:
         self._thread = threading.Thread(target=self._work, name="trace", daemon=True)
         self.digest = START
         self.frames = 0
+        self._last = (0, 0)
         self.seconds: list[float] = []
         """Time that each frame took to encode and write."""
 
@@ -99,10 +100,13 @@ class TraceWriter:
         self._steps.put(step)
 
     def close(self, result: InstanceMap) -> None:
-        """All steps are in the file; it is complete when the context ends. Raises what the thread met."""
+        """All steps are in the file, and what finishing dropped stands at the last frame; it is complete when the
+        context ends. Raises what the thread met."""
         self._stop()
         if self._failure is not None:
             raise self._failure
+        for event in result.events:
+            self._file.add(schemas.EVENTS, *self._last, schemas.encode_event(self._last[1], event))
         record = {
             "format_version": str(FORMAT_VERSION),
             "openvox_version": __version__,
@@ -129,6 +133,7 @@ class TraceWriter:
         begin = time.perf_counter()
         self.digest = decision_link(self.digest, step)
         self.frames += 1
+        self._last = (step.frame.index, step.frame.stamp_ns)
         number, stamp = step.frame.index, step.frame.stamp_ns
         self._file.add(schemas.DECISIONS, number, stamp, schemas.encode_decisions(step))
         for event in step.events:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import FinishParameters, MapperParameters
-from openvox.core.types import InstanceMap, InstanceSummary
+from openvox.core.types import Event, InstanceMap, InstanceSummary
 from openvox.mapper import projection
 from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
@@ -38,11 +38,11 @@ def finished_map(
     memories = {instance: memory_of(fragments[f] for f in group) for instance, group in members.items()}
     total = np.bincount(row, count, len(keys)).astype(np.int64)
     share = _share(own_row, own_id, own_count, shown, total)
-    shown = _existing(shown, keys, memories, parameters.finish)
+    gone: dict[int, str] = {}
+    shown = _existing(shown, keys, memories, parameters.finish, gone)
     confidence = _confidences(shown, share, memories, parameters.finish)
     if parameters.finish.existence:
-        floor = fixedpoint.q20(parameters.finish.min_confidence)
-        shown = _without(shown, [i for i, value in confidence.items() if value < floor])
+        shown = _sure(shown, confidence, parameters.finish.min_confidence, gone)
     share = _share(own_row, own_id, own_count, shown, total)
     kept = [i for i in np.unique(shown).tolist() if i > 0]
     index = projection.voxel_index(keys)
@@ -64,6 +64,10 @@ def finished_map(
         voxel_size=size,
         vote_unit=0.5 if parameters.evolution.background else 1.0,
         instances=tuple(_summary(i, memories[i], life, index[shown == i], size) for i in kept),
+        events=tuple(
+            Event(life.frame, "dropped", i, (), gone.get(i, "no voxel shows it: others have more votes"))
+            for i in sorted(set(members) - set(kept))
+        ),
     )
 
 
@@ -137,18 +141,31 @@ def _share(row: Longs, instance: Longs, count: Longs, shown: Longs, total: Longs
     return share
 
 
-def _existing(shown: Longs, keys: Longs, memories: Mapping[int, Memory], parameters: FinishParameters) -> Longs:
-    """Without the objects that fail the existence tests, and without loose parts of the others."""
+def _existing(
+    shown: Longs, keys: Longs, memories: Mapping[int, Memory], parameters: FinishParameters, gone: dict[int, str]
+) -> Longs:
+    """Without the objects that fail the existence tests and loose parts of the others. Reasons go to `gone`."""
     if not parameters.existence:
         return shown
     sizes = np.bincount(shown)
-    gone = [i for i in np.flatnonzero(sizes).tolist() if i and not exists(memories[i], int(sizes[i]), parameters)]
-    shown = _without(shown, gone)
+    for i in np.flatnonzero(sizes).tolist():
+        if i and not exists(memories[i], int(sizes[i]), parameters):
+            gone[i] = (
+                f"matched in {memories[i].matched} of {memories[i].seen} frames that saw it, {sizes[i]} voxels: too few"
+            )
+    shown = _without(shown, list(gone))
     part = _parts(shown, keys)
     sizes, part_sizes = np.bincount(shown), np.bincount(part)
     share = fixedpoint.millionths(parameters.min_part)
     loose = fixedpoint.MILLION * part_sizes[part] < share * sizes[shown]
     return np.where(loose, 0, shown)
+
+
+def _sure(shown: Longs, confidence: Mapping[int, int], floor: float, gone: dict[int, str]) -> Longs:
+    """Without the objects below the confidence floor. Reasons go to `gone`."""
+    unsure = [i for i, value in confidence.items() if value < fixedpoint.q20(floor)]
+    gone.update((i, f"confidence {confidence[i] / fixedpoint.Q20:.3f} is below {floor:g}") for i in unsure)
+    return _without(shown, unsure)
 
 
 def _without(shown: Longs, gone: list[int]) -> Longs:

@@ -37,6 +37,8 @@ class Life:
         self._parameters = parameters
         self.confirmed: dict[int, int] = {}
         """Instance id to the first frame at which its existence tests held."""
+        self.frame = 0
+        """The last frame that was followed."""
 
     def follow(
         self,
@@ -47,6 +49,7 @@ class Life:
         touched: Iterable[int],
     ) -> list[Event]:
         """Events of one frame, from the instances of all fragments before and after it. touched: changed fragments."""
+        self.frame = frame
         events = [] if before == after else self._regrouped(frame, before, after)
         pending = sorted({after[f] for f in touched} - self.confirmed.keys())
         if pending:

@@ -7,7 +7,7 @@ end.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
@@ -19,7 +19,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from openvox.core.colors import instance_color
-from openvox.core.types import Frame, InstanceMap, Intrinsics, Step
+from openvox.core.types import Event, Frame, InstanceMap, Intrinsics, Step
 from openvox.formats.atomic import partial_file
 from openvox.view import decision_table, entities
 from openvox.view.blueprint import blueprint, overview
@@ -86,6 +86,7 @@ class RerunObserver:
         with self._file:
             if self._frame is not None:
                 self._log_finished(result, self._frame)
+                self._log_events(result.events)
                 self._recording.send_blueprint(blueprint(overview(result)), make_active=False)
             self._recording.flush()
             self._recording.disconnect()
@@ -161,7 +162,10 @@ class RerunObserver:
         table = rr.TextDocument(decision_table.markdown(step), media_type=rr.MediaType.MARKDOWN)
         self._log(entities.DECISION_TABLE, table)
         self._log(entities.DECISION_DATA, _values(**decision_table.columns(step)))
-        for event in step.events:
+        self._log_events(step.events)
+
+    def _log_events(self, events: Iterable[Event]) -> None:
+        for event in events:
             level = rr.TextLogLevel.INFO if event.kind in ("new", "confirmed") else rr.TextLogLevel.WARN
             others = f" with {', '.join(map(str, event.others))}" if event.others else ""
             name = f"{event.instance} ({self._captions.of(event.instance)})"
