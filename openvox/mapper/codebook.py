@@ -49,11 +49,15 @@ class Fragment:
         """Enter one mask: codebook by (18) and (19), caption by its support."""
         if feature is not None:
             self.total = equations.fused_feature(self.total, weight, feature)
-            self.direction = fixedpoint.shortened(self.total)
-            self.square = int(self.direction @ self.direction)
+            self.refresh()
         self.weight = equations.fused_weight(self.weight, weight)
         if caption:
             self.captions[caption] = self.captions.get(caption, 0) + support
+
+    def refresh(self) -> None:
+        """Derive `direction` and `square` from `total`."""
+        self.direction = fixedpoint.shortened(self.total)
+        self.square = int(self.direction @ self.direction)
 
     def pass_on(self, piece: Fragment) -> None:
         """Give a piece that is cut off this fragment's memory: what was seen of the whole was seen of the piece."""

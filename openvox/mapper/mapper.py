@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from openvox.core import fixedpoint
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.types import Decision, Event, Frame, InstanceMap, Mask, Step, VoxelChanges
+from openvox.mapper import state
 from openvox.mapper.associate import Association, associate_frame
 from openvox.mapper.codebook import NAMELESS, Fragment
 from openvox.mapper.cut import Nesting, count_pairs, cuts
@@ -22,6 +24,7 @@ from openvox.mapper.equations import FULL_WEIGHT
 from openvox.mapper.evidence import Evidence
 from openvox.mapper.finish import finished_map
 from openvox.mapper.life import Life
+from openvox.mapper.projection import voxel_key
 
 MIN_SEEN = 4
 """Voxels of a fragment that must be in view for a frame to count as having seen it."""
@@ -86,14 +89,35 @@ class Mapper:
 
     def finish(self) -> InstanceMap:
         """The map as it stands; no vote is altered, and mapping may go on."""
-        return finished_map(
-            self._engine.votes(),
-            self._fragments,
-            self._evidence.instance_of,
-            self._life,
-            self._dimensions or 0,
-            self.parameters,
+        votes = self._engine.votes()
+        result = finished_map(
+            votes, self._fragments, self._evidence.instance_of, self._life, self._dimensions or 0, self.parameters
         )
+        kept = {
+            "key": votes[0],
+            **state.fragment_arrays(self._fragments, self._looked, self._dimensions or 0),
+            **state.evidence_arrays(self._evidence),
+            **state.life_arrays(self._life, self._looked, self._dimensions),
+        }
+        return replace(result, state=kept)
+
+    @classmethod
+    def resumed(cls, earlier: InstanceMap, parameters: MapperParameters, stopwatch: Stopwatch | None = None) -> Self:
+        """A mapper that goes on where `earlier` stopped; the parameters must be those of its run.
+
+        Raises InputError if the map has no state, or one of another version."""
+        mapper = cls(parameters, stopwatch)
+        try:
+            mapper._looked, mapper._dimensions = state.restore_life(mapper._life, earlier.state)
+            mapper._fragments = state.restored_fragments(earlier.state)
+            keys = earlier.state["key"]
+            number = np.argsort(keys)[np.searchsorted(np.sort(keys), voxel_key(earlier.voxel_index.astype(np.int64)))]
+            row = np.repeat(number, np.diff(earlier.vote_offset)).astype(np.int32)
+            mapper._engine.restore(keys, row, earlier.vote_fragment, earlier.vote_count)
+            state.restore_evidence(mapper._evidence, earlier.state, mapper._fragments)
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise InputError(f"the map holds no state to resume from ({error}); replay from the beginning") from None
+        return mapper
 
     def _lap(self, stage: str) -> None:
         if self._watch is not None:

@@ -272,6 +272,19 @@ class CpuEngine:
         row, fragment, count = votes.all_votes(rows, self._heads, self._backgrounds, *self._lists, slots)
         return self._keys[:rows].copy(), row, fragment, count
 
+    def restore(self, keys: Longs, row: Ints, fragment: Ints, count: Ints) -> None:
+        """Fill an empty engine with voxels by number and their votes, as `votes` gives them."""
+        n, size = len(keys), len(self._table)
+        while 5 * n > 3 * size:
+            size *= 2
+        self._keys = _grown(keys.astype(np.int64), 1 << 11, 0)
+        self._table = pixels.rebuilt(self._keys, n, size)
+        self._heads = np.full(len(self._keys), EMPTY, np.int32)
+        self._backgrounds = np.zeros(len(self._keys), np.int32)
+        self._state[0] = n
+        self._make_room(slots=len(row))
+        votes.add_votes(row, fragment, count, self._heads, self._backgrounds, *self._lists, self._state)
+
 
 def common_pixels(a: Mask, b: Mask) -> int:
     """Pixels that two masks share."""
