@@ -95,16 +95,16 @@ def depth_steps(depth, margin, near, out):
     near[:] = 0
     for v in range(height):
         for u in range(width):
-            z = int(depth[v, u])
+            z = np.int64(depth[v, u])
             if z == 0:
                 continue
             if u + 1 < width and depth[v, u + 1] != 0:
-                other = int(depth[v, u + 1])
+                other = np.int64(depth[v, u + 1])
                 if 50 * abs(z - other) > 3000 + min(z, other):
                     near[v, u] = 1
                     near[v, u + 1] = 1
             if v + 1 < height and depth[v + 1, u] != 0:
-                other = int(depth[v + 1, u])
+                other = np.int64(depth[v + 1, u])
                 if 50 * abs(z - other) > 3000 + min(z, other):
                     near[v, u] = 1
                     near[v + 1, u] = 1

@@ -1,0 +1,142 @@
+"""The slow twin's end: from votes to a finished map, by loops over voxels. No vote is altered."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from itertools import product
+from typing import Protocol
+
+import numpy as np
+from naive_view import MILLION, ONE, Voxel, dot, short, strongest, summed
+
+from openvox.core.mapper_parameters import FinishParameters, MapperParameters
+from openvox.core.types import InstanceMap
+
+FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
+AROUND = tuple(product((-1, 0, 1), repeat=3))
+
+
+class Piece(Protocol):
+    """What is read of a fragment."""
+
+    total: list[int]
+    weight: int
+    matched: set[int]
+    seen: set[int]
+    score: int
+    observations: int
+
+
+def beside(voxel: Voxel, step: tuple[int, ...]) -> Voxel:
+    return voxel[0] + step[0], voxel[1] + step[1], voxel[2] + step[2]
+
+
+def by_instance(counts: Mapping[int, int], instance_of: Mapping[int, int]) -> Counter[int]:
+    """A voxel's votes for each instance, 0 = background."""
+    out: Counter[int] = Counter()
+    for f, n in counts.items():
+        out[instance_of.get(f, 0)] += n
+    return out
+
+
+def shown_instance(voxel: Voxel, sums: Mapping[Voxel, Counter[int]], smoothing: int) -> int:
+    """The strongest instance if it beats background: smoothing x own counts + those of the six face neighbours."""
+    counts = Counter({i: n * (smoothing or 1) for i, n in sums[voxel].items()})
+    for face in FACES if smoothing else ():
+        counts.update(sums.get(beside(voxel, face), {}))
+    votes, instance = strongest(counts)
+    return instance if votes > counts[0] else 0
+
+
+def parts(voxels: Collection[Voxel]) -> Iterator[set[Voxel]]:
+    """26-connected parts, by flood fill."""
+    left = set(voxels)
+    while left:
+        part, border = set(), {min(left)}
+        while border:
+            part |= border
+            left -= border
+            border = {beside(voxel, step) for voxel in border for step in AROUND} & left
+        yield part
+
+
+def confidence(voxels: Collection[Voxel], share: Mapping[Voxel, int], group: list[Piece], p: FinishParameters) -> int:
+    """Mean theta; with existence times k/(k+2), k/v and the mean score: k frames matched it, v frames saw it."""
+    mean = sum(share[voxel] for voxel in voxels) // len(voxels)
+    if not p.existence:
+        return mean
+    matched, seen = frames(group)
+    k, v = len(matched), max(1, len(seen))
+    observations = sum(piece.observations for piece in group)
+    score = sum(piece.score for piece in group) // observations if observations else 0
+    return mean * k * k * score // ((k + 2) * v * 4096)
+
+
+def frames(group: list[Piece]) -> tuple[set[int], set[int]]:
+    """Frames that matched the instance, and those that saw it."""
+    matched = set().union(*(piece.matched for piece in group))
+    return matched, matched.union(*(piece.seen for piece in group))
+
+
+def unit(total: list[int]) -> list[np.float32]:
+    vector = short(total)
+    square = dot(vector, vector)
+    return [np.float32(x / (math.isqrt(square * ONE**2) / ONE) if square else 0.0) for x in vector]
+
+
+def kept_voxels(voxels: set[Voxel], group: list[Piece], p: FinishParameters) -> set[Voxel]:
+    """An instance's voxels without loose parts; none if too few frames matched it or it is too small."""
+    matched, seen = frames(group)
+    rare = len(matched) < p.min_frames or MILLION * len(matched) < round(p.min_share * MILLION) * len(seen)
+    if rare or len(voxels) < p.min_voxels:
+        return set()
+    least = round(p.min_part * MILLION) * len(voxels)
+    return {voxel for part in parts(voxels) if MILLION * len(part) >= least for voxel in part}
+
+
+def finish(
+    votes: Mapping[Voxel, Mapping[int, int]],
+    fragments: Mapping[int, Piece],
+    instance_of: Mapping[int, int],
+    dimensions: int,
+    p: MapperParameters,
+) -> InstanceMap:
+    order = sorted(voxel for voxel, counts in votes.items() if counts)
+    sums = {voxel: by_instance(votes[voxel], instance_of) for voxel in order}
+    shown = {voxel: shown_instance(voxel, sums, p.finish.smoothing) for voxel in order}
+
+    def share(voxel: Voxel) -> int:
+        return sums[voxel][shown[voxel]] * ONE // sums[voxel].total()
+
+    ranks = {}
+    for instance in sorted(set(shown.values()) - {0}):
+        group = [fragments[f] for f in fragments if instance_of[f] == instance]
+        voxels = {voxel for voxel in order if shown[voxel] == instance}
+        kept = kept_voxels(voxels, group, p.finish) if p.finish.existence else voxels
+        if kept:
+            ranks[instance] = confidence(kept, {voxel: share(voxel) for voxel in kept}, group, p.finish)
+        if p.finish.existence and ranks.get(instance, 0) < round(p.finish.min_confidence * ONE):
+            kept = set()
+        shown.update((voxel, 0) for voxel in voxels - kept)
+    ids = sorted(set(shown.values()) - {0})
+    used = sorted({f for voxel in order for f in votes[voxel] if f})
+    groups = [[fragments[f] for f in fragments if instance_of[f] == i] for i in ids]
+    rows = [sorted(votes[voxel].items()) for voxel in order]
+    return InstanceMap(
+        voxel_index=np.array(order, np.int32).reshape(-1, 3),
+        vote_offset=np.cumsum([0, *map(len, rows)]).astype(np.int64),
+        vote_fragment=np.array([f for row in rows for f, _ in row], np.int32),
+        vote_count=np.array([n for row in rows for _, n in row], np.int32),
+        fragment_id=np.array(used, np.int32),
+        fragment_instance=np.array([instance_of[f] if instance_of[f] in ids else 0 for f in used], np.int32),
+        voxel_instance=np.array([shown[voxel] for voxel in order], np.int32),
+        voxel_confidence=np.array([share(voxel) / ONE for voxel in order], np.float32),
+        instance_id=np.array(ids, np.int32),
+        instance_confidence=np.array([ranks[i] / ONE for i in ids], np.float32),
+        feature=np.array([unit(summed(x.total for x in g)) for g in groups], np.float32).reshape(len(ids), dimensions),
+        feature_weight=np.array([sum(x.weight for x in group) / 4096 for group in groups], np.float64),
+        voxel_size=p.map.voxel_size,
+        vote_unit=0.5 if p.evolution.background else 1.0,
+    )

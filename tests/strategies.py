@@ -1,0 +1,170 @@
+"""Tiny worlds for hypothesis: a few frames of 12x10 pixels, a few masks, ties on purpose, any parameters."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
+from openvox.core.parameters import describe, updated
+from openvox.core.types import MASK_KINDS, Frame, Intrinsics, Mask, Pose, Rig
+
+WIDTH, HEIGHT = 12, 10
+CAMERA = Intrinsics(WIDTH, HEIGHT, 10.0, 10.0, 5.5, 4.5)
+COLOR_CAMERA = Intrinsics(14, 11, 11.0, 10.5, 6.5, 5.25)
+SWITCHES = tuple(row.name for row in describe(OPENVOX) if isinstance(row.default, bool))
+Masks = tuple[Mask, ...] | None
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Frames with their masks (None: not looked at), and parameters that suit their size."""
+
+    frames: tuple[tuple[Frame, Masks], ...]
+    parameters: MapperParameters
+
+
+def rectangle(u0: int, v0: int, u1: int, v1: int, camera: Intrinsics = CAMERA, **fields: Any) -> Mask:
+    """A mask of columns u0 .. u1 - 1 and rows v0 .. v1 - 1."""
+    bitmap = np.zeros((camera.height, camera.width), np.bool_)
+    bitmap[v0:v1, u0:u1] = True
+    return Mask.from_bitmap(bitmap, **fields)
+
+
+def wall(index: int, depth: NDArray[np.uint16] | int = 1000, pose: Pose | None = None, rig: Rig | None = None) -> Frame:
+    """A frame that sees a flat wall, or the depth image given; from the origin along z if no pose is given."""
+    rig = rig or Rig(CAMERA, CAMERA)
+    if isinstance(depth, int):
+        depth = np.full((rig.depth.height, rig.depth.width), depth, np.uint16)
+    return Frame(index, 10**8 * (index + 1), pose or Pose.identity(), rig, depth)
+
+
+def small(parameters: MapperParameters, **masks: Any) -> MapperParameters:
+    """The parameters with limits that fit 12x10 pixels: no least mask, objects of a voxel."""
+    return replace(
+        parameters,
+        map=replace(parameters.map, voxel_size=0.1),
+        masks=replace(parameters.masks, **{"min_pixels": 0, **masks}),
+        finish=replace(parameters.finish, min_voxels=min(parameters.finish.min_voxels, 1)),
+    )
+
+
+def rectangles(camera: Intrinsics) -> st.SearchStrategy[tuple[int, int, int, int]]:
+    """Corners (u0, v0, u1, v1); sides of few lengths, so that areas are often equal, and sometimes nothing at all."""
+    side = st.sampled_from([0, 1, 3, 3, 5, 5, 8])
+    start = st.tuples(st.integers(0, camera.width - 1), st.integers(0, camera.height - 1))
+    return st.builds(
+        lambda a, w, h: (a[0], a[1], min(camera.width, a[0] + w), min(camera.height, a[1] + h)), start, side, side
+    )
+
+
+@st.composite
+def masks(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> Mask:
+    """A mask of one or two rectangles."""
+    bitmap = np.zeros((camera.height, camera.width), np.bool_)
+    for u0, v0, u1, v1 in draw(st.lists(rectangles(camera), min_size=1, max_size=2)):
+        bitmap[v0:v1, u0:u1] = True
+    embedding = None
+    if dimensions:
+        # Directions from a small set: equal ones, unlike ones and opposite ones.
+        vector = np.array(
+            draw(st.lists(st.sampled_from([-1.0, 0.0, 0.5, 1.0]), min_size=dimensions, max_size=dimensions))
+        )
+        embedding = (vector / max(1e-9, math.sqrt(float(vector @ vector)))).astype(np.float32)
+    return Mask.from_bitmap(
+        bitmap,
+        score=draw(st.sampled_from([0.3, 0.9, 1.0])),
+        caption=draw(st.sampled_from(["", "a chair", "a box"])),
+        caption_score=draw(st.sampled_from([0.0, 0.5, 1.0])),
+        named=draw(st.booleans()),
+        kind=draw(st.sampled_from(MASK_KINDS)),
+        embedding=embedding,
+    )
+
+
+@st.composite
+def depths(draw: st.DrawFn) -> NDArray[np.uint16]:
+    """A wall, or two with a step between, with pixels that measured nothing or the farthest."""
+    depth = np.full((HEIGHT, WIDTH), draw(st.sampled_from([0, 700, 1000, 1000, 1000, 1333, 65535])), np.uint16)
+    depth[:, draw(st.integers(0, WIDTH)) :] = draw(st.sampled_from([0, 1000, 1050, 1600]))
+    for u0, v0, u1, v1 in draw(st.lists(rectangles(CAMERA), max_size=2)):
+        depth[v0:v1, u0:u1] = draw(st.sampled_from([0, 800, 1000, 65535]))
+    return depth
+
+
+def poses() -> st.SearchStrategy[Pose]:
+    """Around one place, seldom kilometres away: a step aside, a turn about any axis."""
+    angle = st.sampled_from([0.0, 0.0, 0.05, -0.3, math.pi])
+    axis = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.6, 0.8)])
+    place = st.tuples(*[st.sampled_from([0.0, 0.0, 0.1, -0.07, -1.25])] * 3)
+    return st.builds(
+        lambda angle, axis, place: Pose(
+            (*(math.sin(angle / 2) * a for a in axis), math.cos(angle / 2)),  # type: ignore[arg-type]
+            place,
+        ),
+        angle,
+        axis,
+        place,
+    )
+
+
+def rigs() -> st.SearchStrategy[Rig]:
+    """One registered camera, or two: the same picture from beside, another lens behind a small turn."""
+    beside = Pose((0.0, 0.0, 0.0, 1.0), (0.1, 0.0, -0.02))
+    turned = Pose((0.0, math.sin(0.05), 0.0, math.cos(0.05)), (-0.03, 0.01, 0.0))
+    one = Rig(CAMERA, CAMERA)
+    return st.sampled_from([one, one, Rig(CAMERA, CAMERA, beside), Rig(CAMERA, COLOR_CAMERA, turned)])
+
+
+@st.composite
+def parameters(draw: st.DrawFn) -> MapperParameters:
+    """A preset, or any switches (what rests on a switch that is off is off, too) and numbers."""
+    chosen = small(draw(st.sampled_from([OPENVOX, PAPER, OPENVOX])))
+    off = draw(st.one_of(st.just([]), st.lists(st.sampled_from(SWITCHES), unique=True, max_size=4)))
+    out = updated(chosen, dict.fromkeys(off, False), source="test")
+    numbers: dict[str, list[Any]] = {
+        "map.voxel_size": [0.1, 0.25],
+        "map.max_depth": [6.0, 65.0],
+        "masks.min_pixels": [0, 4],
+        "masks.erosion": [0, 1, 2],
+        "masks.step_margin": [0, 1, 2],
+        "association.threshold": [0.1, 0.4, 0.8],
+        "association.hidden_evidence": [1, 4],
+        "evolution.halving": [0, 1, 3, 100],
+        "evolution.cut_share": [0.03, 0.3],
+        "lifecycle.contradiction": [1.0, 1.5],
+        "lifecycle.nested": [0.3, 0.7],
+        "finish.smoothing": [0, 1, 3],
+        "finish.min_frames": [0, 2],
+        "finish.min_part": [0.05, 0.4],
+        "finish.min_confidence": [0.0, 0.12],
+    }
+    values = {name: draw(st.sampled_from(choices)) for name, choices in numbers.items()}
+    for group in fields(out):
+        inside = {name.partition(".")[2]: v for name, v in values.items() if name.startswith(group.name + ".")}
+        out = replace(out, **{group.name: replace(getattr(out, group.name), **inside)})
+    return out
+
+
+@st.composite
+def worlds(draw: st.DrawFn) -> World:
+    """1 to 6 frames; a scene's masks come again in later frames, as they are or with others."""
+    rig, dimensions = draw(rigs()), draw(st.sampled_from([0, 2, 3]))
+    far = draw(st.sampled_from([0.0, 0.0, 0.0, -30_000.0]))
+    known = draw(st.lists(masks(rig.color, dimensions), min_size=1, max_size=6))
+    scenes = draw(st.lists(st.tuples(depths(), poses()), min_size=1, max_size=2))
+    frames = []
+    for index in range(draw(st.integers(1, 6))):
+        depth, pose = draw(st.sampled_from(scenes))
+        x, y, z = pose.translation
+        pose = Pose(pose.quaternion, (x + far, y - far, z))
+        seen = draw(
+            st.one_of(st.lists(st.sampled_from(known), max_size=5).map(tuple), st.none() if index else st.just(()))
+        )
+        frames.append((wall(index, depth, pose, rig), seen))
+    return World(tuple(frames), draw(parameters()))
