@@ -41,9 +41,8 @@ def detected_labels(masks: Sequence[Mask], instance_of: Mapping[int, int]) -> di
     for number, mask in enumerate(masks):
         instance = instance_of.get(number, 0)
         caption = mask.caption or mask.label
-        labels[number] = Label(
-            f"mask {number}: {caption} → {instance or 'nothing'}", instance_color(instance) if instance else UNASSIGNED
-        )
+        color = instance_color(instance) if instance else UNASSIGNED
+        labels[number] = Label(f"mask {number}: {caption} → {instance or 'nothing'}", color)
     return labels
 
 
@@ -72,24 +71,24 @@ class Captions:
     """Which caption each instance was given most often so far (the first in the alphabet among equals)."""
 
     def __init__(self) -> None:
-        self._counts: dict[int, dict[str, int]] = {}
+        self._counts: dict[int, dict[str, int]] = {}  # by the instance that was chosen, which has the id of a fragment
+        self._parts: dict[int, list[int]] = {}
 
     def add(self, step: Step) -> None:
-        """Count the captions of this frame's masks; instances that merged share theirs."""
-        for instance in sorted(self._counts):
-            target = step.instance_of.get(instance, instance)
-            if target != instance:
-                for caption, count in self._counts.pop(instance).items():
-                    self._count(target, caption, count)
+        """Count the captions of this frame's masks; instances that merged share theirs until they part."""
         for decision in step.decisions:
-            if decision.instance and step.masks[decision.mask].caption:
-                self._count(decision.instance, step.masks[decision.mask].caption, 1)
+            caption = step.masks[decision.mask].caption
+            if decision.instance and caption:
+                counts = self._counts.setdefault(decision.instance, {})
+                counts[caption] = counts.get(caption, 0) + 1
+        self._parts = {}
+        for chosen in self._counts:
+            self._parts.setdefault(step.instance_of.get(chosen, chosen), []).append(chosen)
 
     def of(self, instance: int) -> str:
         """The caption, or nothing if no mask had one."""
-        counts = self._counts.get(instance, {})
-        return min(counts, key=lambda caption: (-counts[caption], caption), default="")
-
-    def _count(self, instance: int, caption: str, count: int) -> None:
-        counts = self._counts.setdefault(instance, {})
-        counts[caption] = counts.get(caption, 0) + count
+        total: dict[str, int] = {}
+        for chosen in self._parts.get(instance, []):
+            for caption, count in self._counts[chosen].items():
+                total[caption] = total.get(caption, 0) + count
+        return min(total, key=lambda caption: (-total[caption], caption), default="")

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Color = tuple[int, int, int]
+Box = tuple[int, int, int, int]
+"""Left, top, right, bottom, pixels; the last two exclusive."""
 WHITE: Color = (255, 255, 255)
 HALO: Color = (24, 24, 28)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -22,7 +24,6 @@ class Note:
 
     text: str
     point: tuple[int, int]
-    color: Color
 
 
 def write(
@@ -45,24 +46,29 @@ def size_of(text: str, scale: float) -> tuple[int, int]:
 
 def annotate(image: NDArray[np.uint8], notes: Sequence[Note], *, scale: float = 0.45) -> None:
     """Write notes at their points, the first ones first; a later one moves aside, with a thin line, or is left out."""
-    taken: list[tuple[int, int, int, int]] = []
-    for note in notes:
-        box = _free_box(image.shape, note.point, size_of(note.text, scale), taken)
-        if box is None:
-            continue
-        taken.append(box)
-        x, y = (box[0] + box[2]) // 2, (box[1] + box[3]) // 2
-        if abs(note.point[1] - y) > box[3] - box[1]:
-            end = (x, box[1] if note.point[1] < y else box[3])
+    placed = place(image.shape, notes, scale)
+    for note, (left, top, right, bottom) in placed:
+        x, y = (left + right) // 2, (top + bottom) // 2
+        if abs(note.point[1] - y) > bottom - top:
+            end = (x, top if note.point[1] < y else bottom)
             cv2.line(image, end, note.point, HALO, 3, cv2.LINE_AA)
             cv2.line(image, end, note.point, WHITE, 1, cv2.LINE_AA)
-        write(image, note.text, (box[0] + 3, box[3] - 6), scale=scale)
+    for note, (left, _, _, bottom) in placed:
+        write(image, note.text, (left + 3, bottom - 6), scale=scale)
 
 
-def _free_box(
-    shape: Sequence[int], point: tuple[int, int], size: tuple[int, int], taken: list[tuple[int, int, int, int]]
-) -> tuple[int, int, int, int] | None:
-    """Left, top, right, bottom of the nearest place above or below the point that is inside and free."""
+def place(shape: Sequence[int], notes: Sequence[Note], scale: float) -> list[tuple[Note, Box]]:
+    """The notes that find a place inside a picture of that shape, each with its own."""
+    placed: list[tuple[Note, Box]] = []
+    for note in notes:
+        box = _free_box(shape, note.point, size_of(note.text, scale), [box for _, box in placed])
+        if box is not None:
+            placed.append((note, box))
+    return placed
+
+
+def _free_box(shape: Sequence[int], point: tuple[int, int], size: tuple[int, int], taken: Sequence[Box]) -> Box | None:
+    """The nearest place above or below the point that is inside and free."""
     width, height = size[0] + 6, size[1] + 4
     left = min(max(point[0] - width // 2, 2), shape[1] - width - 2)
     for shift in (0, -1, 1, -2, 2, -3, 3):
@@ -74,7 +80,7 @@ def _free_box(
     return None
 
 
-def _overlap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+def _overlap(a: Box, b: Box) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 

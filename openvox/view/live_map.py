@@ -79,22 +79,18 @@ class LiveMap:
         """Take over what a step changed; steps come in order, from the first."""
         changes = step.changes
         self._grow(changes)
-        rows = changes.touched.astype(np.int64)
-        percent = percent_of(changes.share)
-        owner_before, percent_before = self._owner[rows], self._percent[rows]
-        was = self._instance_of[owner_before]
-        self._owner[rows], self._percent[rows] = changes.owner, percent
-        swapped = owner_before != changes.owner
-        self._move(rows[swapped], owner_before[swapped], changes.owner[swapped])
         before = self._regroup(step.instance_of)
         fragments = np.flatnonzero(before != self._instance_of)
-        now = self._instance_of[changes.owner]
+        carried = [self._members.get(fragment, NONE) for fragment in fragments.tolist()]
+        rows = np.unique(np.concatenate([changes.touched.astype(np.int64), *carried]))
+        was, percent = before[self._owner[rows]], self._percent[rows]
+        self._write(changes)
+        now = self._instance_of[self._owner[rows]]
         elsewhere, count = np.unique(np.concatenate([was[was != now], now[was != now]]), return_counts=True)
-        different = (was != now) | (percent_before != percent) | (rows >= changes.first_new)
-        carried = [self._members.get(int(fragment), NONE) for fragment in fragments]
+        different = (was != now) | (percent != self._percent[rows]) | (rows >= changes.first_new)
         return Change(
             first_new=changes.first_new,
-            rows=np.unique(np.concatenate([rows[different], *carried])),
+            rows=rows[different],
             moved=dict(zip(elsewhere.tolist(), count.tolist(), strict=True)),
             regrouped=tuple(np.unique([before[fragments], self._instance_of[fragments]]).tolist()),
         )
@@ -110,9 +106,13 @@ class LiveMap:
         self._index[self.size : needed] = changes.new_index
         self.size = needed
 
-    def _move(self, rows: Rows, left: NDArray[np.int32], joined: NDArray[np.int32]) -> None:
-        """Keep each fragment's list of voxels: drop those that left, append those that joined."""
-        for fragment in np.unique(np.concatenate([left, joined])).tolist():
+    def _write(self, changes: VoxelChanges) -> None:
+        """Take over owners and shares, and keep each fragment's list of voxels: drop those that left, append others."""
+        left = self._owner[changes.touched]
+        self._owner[changes.touched], self._percent[changes.touched] = changes.owner, percent_of(changes.share)
+        swapped = left != changes.owner
+        rows, joined = changes.touched[swapped].astype(np.int64), changes.owner[swapped]
+        for fragment in np.unique(np.concatenate([left[swapped], joined])).tolist():
             if fragment > 0:
                 kept = self._members.get(fragment, NONE)
                 kept = kept[self._owner[kept] == fragment]

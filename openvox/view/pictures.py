@@ -122,10 +122,7 @@ def _notes(labels: NDArray[np.int32], captions: dict[int, str]) -> list[Note]:
     ids, pixels = np.unique(labels[labels > 0], return_counts=True)
     large = pixels >= LEAST_AREA * labels.size
     order = ids[large][np.argsort(-pixels[large], kind="stable")].tolist()
-    return [
-        Note(f"{i} {shortened(captions.get(i, ''), 30)}".strip(), _middle(labels == i), instance_color(i))
-        for i in order[:NOTES]
-    ]
+    return [Note(f"{i} {shortened(captions.get(i, ''), 30)}".strip(), _middle(labels == i)) for i in order[:NOTES]]
 
 
 def _middle(area: NDArray[np.bool_]) -> tuple[int, int]:
@@ -150,7 +147,7 @@ def _paint_masks(picture: Picture, masks: Sequence[Mask], instance_of: dict[int,
         cv2.drawContours(picture, outlines, -1, color, 2, cv2.LINE_AA)
         if visible.any():
             caption = shortened(masks[number].caption or masks[number].label, 30)
-            notes.append(Note(f"{instance or 'none'}: {caption}", _middle(visible), color))
+            notes.append(Note(f"{instance or 'none'}: {caption}", _middle(visible)))
     annotate(picture, notes)
 
 

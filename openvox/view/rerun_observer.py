@@ -40,7 +40,7 @@ class RerunObserver:
     """Writes `path` (.rrd) while steps come; the file appears when `close` is called, and not at all after `abort`.
 
     voxel_size: metres. images: log colour, detected and rendered masks (most of the file's size). Use it as a context
-    manager: leaving by an exception aborts. Raises OutputError where the file cannot be written.
+    manager: leaving it before `close` aborts. Raises OutputError where the file cannot be written.
     """
 
     def __init__(self, path: Path, *, voxel_size: float, images: bool = True) -> None:
@@ -61,8 +61,7 @@ class RerunObserver:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None:
-            self.abort()
+        self.abort()
 
     def on_step(self, step: Step) -> None:
         """Log one frame; nothing of the step is changed."""
@@ -93,7 +92,7 @@ class RerunObserver:
             _check_whole(self._partial)
 
     def abort(self) -> None:
-        """Give up: nothing is left behind."""
+        """Give up: nothing is left behind. After `close` nothing happens."""
         self._recording.disconnect()
         with suppress(_AbortedError), self._file:
             raise _AbortedError
@@ -168,8 +167,9 @@ class RerunObserver:
         for event in events:
             level = rr.TextLogLevel.INFO if event.kind in ("new", "confirmed") else rr.TextLogLevel.WARN
             others = f" with {', '.join(map(str, event.others))}" if event.others else ""
-            name = f"{event.instance} ({self._captions.of(event.instance)})"
-            self._log(entities.EVENTS, rr.TextLog(f"{event.kind} {name}{others}: {event.text}", level=level))
+            caption = f" ({self._captions.of(event.instance)})".replace(" ()", "")
+            text = f"{event.kind} {event.instance}{caption}{others}: {event.text}"
+            self._log(entities.EVENTS, rr.TextLog(text, level=level))
 
     def _log_voxel_states(self, change: Change) -> None:
         """Number, instance and its share of the votes of each voxel that changed; the index of each new one."""
@@ -229,8 +229,10 @@ class RerunObserver:
     def _log_finished(self, result: InstanceMap, frame: Frame) -> None:
         """Everything as it ends, which may differ from the last step: small things dropped, voxels smoothed."""
         captions = {summary.id: summary.caption for summary in result.instances}
+        order = np.argsort(result.voxel_instance, kind="stable")
         for instance in sorted({*result.instance_id.tolist(), *self._seen}):
-            mine = result.voxel_instance == instance
+            first, last = np.searchsorted(result.voxel_instance, [instance, instance + 1], sorter=order)
+            mine = order[first:last]
             self._draw_instance(instance, result.voxel_index[mine], captions.get(instance, ""))
             self._draw_confidence(instance, result.voxel_index[mine], result.voxel_confidence[mine])
         if self._images:

@@ -9,7 +9,7 @@ from openvox.core.types import Intrinsics
 from openvox.view.render import NOTHING
 
 LIGHT = np.array([[0.80, 0.66], [0.72, 0.88], [0.50, 1.00]], np.float32)
-"""Brightness of a cube's faces: x, y, z; looking along the axis in its lower and in its upper direction."""
+"""Brightness of the faces across x, y and z: the lower and the upper one."""
 NO_FACE = 6
 EDGE = 0.93
 OUTLINE = 0.62
