@@ -1,0 +1,87 @@
+"""Which fragments are one thing: counts for and against, and the clusters that follow."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from openvox.core.mapper_parameters import LifecycleParameters
+from openvox.mapper.codebook import Fragment
+from openvox.mapper.evidence import Evidence, cluster, pair
+
+NODES = range(1, 7)
+PAIRS = st.tuples(st.sampled_from(NODES), st.sampled_from(NODES)).filter(lambda fg: fg[0] != fg[1])
+
+
+def fragment(f: int, *feature: int) -> Fragment:
+    part = Fragment(f, 0, 0, np.zeros(len(feature), np.int64))
+    part.observe(1, np.array(feature, np.int64), "", 0)
+    return part
+
+
+def test_the_heaviest_pair_joins_first_and_contradictions_add_up() -> None:
+    # 1-2 join; then {1, 2}-3 weighs 4 - 5 = -1
+    assert cluster([1, 2, 3], {(1, 2): 6, (2, 3): 4, (1, 3): -5}) == {1: 1, 2: 1, 3: 3}
+
+
+def test_without_a_contradiction_a_chain_is_one_thing() -> None:
+    assert cluster([1, 2, 3], {(1, 2): 6, (2, 3): 4}) == {1: 1, 2: 1, 3: 1}
+
+
+def test_ties_go_to_the_lowest_pair() -> None:
+    # 1-2 and 2-3 weigh the same: 1-2 joins, and then 3 is kept out
+    assert cluster([1, 2, 3], {(1, 2): 5, (2, 3): 5, (1, 3): -6}) == {1: 1, 2: 1, 3: 3}
+
+
+def test_fragments_seen_apart_as_often_as_together_are_kept_apart_and_unseen_ones_are_not() -> None:
+    evidence = Evidence(LifecycleParameters())
+    for f in (1, 2, 3):
+        evidence.add_fragment(f)
+    evidence.add_together(1, 2, 2)
+    evidence.add_apart(1, 2, 2)
+    assert evidence.kept_apart(2, 1)
+    assert not evidence.kept_apart(1, 3)
+
+
+def test_unlike_captions_weaken_togetherness() -> None:
+    fragments = {1: fragment(1, 127, 0), 2: fragment(2, 0, 127), 3: fragment(3, 127, 0)}
+    evidence = Evidence(LifecycleParameters())
+    for f in fragments:
+        evidence.add_fragment(f)
+    evidence.add_together(1, 2, 2)
+    evidence.add_together(1, 3, 2)
+    evidence.update([1, 2, 3], fragments)
+    assert evidence.instance_of == {1: 1, 2: 2, 3: 1}
+    assert evidence.members == {1: (1, 3), 2: (2,)}
+
+
+def test_what_was_joined_comes_apart_again() -> None:
+    fragments = {f: fragment(f, 127) for f in (1, 2)}
+    evidence = Evidence(LifecycleParameters())
+    for f in fragments:
+        evidence.add_fragment(f)
+    evidence.add_together(1, 2, 2)
+    evidence.update([1, 2], fragments)
+    assert evidence.instance_of == {1: 1, 2: 1}
+    evidence.add_apart(1, 2, 4)
+    evidence.update([1, 2], fragments)
+    assert evidence.instance_of == {1: 1, 2: 2}
+
+
+@given(st.lists(st.lists(st.tuples(PAIRS, st.booleans(), st.integers(1, 6)), max_size=4), max_size=8))
+def test_clusters_kept_frame_by_frame_equal_those_of_all_evidence(
+    frames: list[list[tuple[tuple[int, int], bool, int]]],
+) -> None:
+    fragments = {f: fragment(f, 127) for f in NODES}
+    evidence = Evidence(LifecycleParameters())
+    for f in NODES:
+        evidence.add_fragment(f)
+    weights: dict[tuple[int, int], int] = {}
+    for frame in frames:
+        for (f, g), together, amount in frame:
+            (evidence.add_together if together else evidence.add_apart)(f, g, amount)
+            weights[pair(f, g)] = weights.get(pair(f, g), 0) + (16 if together else -16) * amount
+        evidence.update(sorted({f for both, _, _ in frame for f in both}), fragments)
+        assert evidence.instance_of == cluster(NODES, weights)
+        assert sorted(f for group in evidence.members.values() for f in group) == list(NODES)
