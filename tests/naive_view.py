@@ -153,8 +153,8 @@ def view_of(frame: Frame, masks: int, areas: Mapping[int, set[Pixel]], p: Mapper
             pixels.setdefault(voxel, Counter())[label] += 1
     view = View([set() for _ in range(masks)], set(), set(pixels))
     for voxel, counts in pixels.items():
-        if p.masks.one_vote:  # most pixels; on a tie "no mask", then the lowest mask
-            over: set[int] = set(min(counts, key=lambda label: (-counts[label], label)))
+        if p.masks.one_vote:  # most pixels; on a tie "no mask", then the smallest mask, then the last
+            over: set[int] = set(min(counts, key=lambda label: (-counts[label], *((len(areas[m]), -m) for m in label))))
         else:
             over = {m for label in counts for m in label}
         for m in over:

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_rerun_observer import masks_of
-from worlds import tiny_frames
+from worlds import tiny_frames, truth_masks
 
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
@@ -21,7 +20,7 @@ from openvox.mapper.mapper import Mapper
 def masks(frame: Frame) -> tuple[Mask, ...]:
     """The truth, each with an embedding of its own."""
     rows = np.eye(8, dtype=np.float32)
-    return tuple(replace(mask, embedding=rows[i % 8]) for i, mask in enumerate(masks_of(frame)))
+    return tuple(replace(mask, embedding=rows[i % 8]) for i, mask in enumerate(truth_masks(frame)))
 
 
 @pytest.mark.parametrize("preset", ["openvox", "paper"])

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.core.types import Frame, Intrinsics, Pose, Rig
+from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
 
 CAMERA = Intrinsics(width=32, height=24, fx=26.0, fy=26.0, cx=15.5, cy=11.5)
 CATEGORIES = {2: "floor", 7: "table", 29: "box"}
@@ -65,6 +65,13 @@ def _frame(index: int, camera: Intrinsics, color_format: Literal["jpeg", "png", 
         truth_instances=instances if truth else None,
         truth_categories=categories if truth else None,
     )
+
+
+def truth_masks(frame: Frame) -> tuple[Mask, ...]:
+    """The truth of a frame as masks, one an instance, by id."""
+    truth = frame.truth_instances
+    assert truth is not None
+    return tuple(Mask.from_bitmap(truth == i, caption=f"thing {i}") for i in np.unique(truth).tolist() if i)
 
 
 def look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> Pose:

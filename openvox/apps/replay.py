@@ -111,18 +111,24 @@ def chosen_parameters(preset_name: str, params: Path | None, assignments: Sequen
 
 def warm_up(parameters: MapperParameters, notice: Callable[[str], None]) -> None:
     """Have all kernels compiled, or loaded from the cache, before any time is taken."""
-    camera = Intrinsics(8, 8, 8.0, 8.0, 3.5, 3.5)
-    bitmap = np.zeros((8, 8), np.bool_)
-    bitmap[1:7, 1:7] = True
-    masks = (Mask.from_bitmap(bitmap), Mask.from_bitmap(bitmap.T & (np.arange(8) < 4)))
-    few = replace(parameters, masks=replace(parameters.masks, min_pixels=0))
+    camera = Intrinsics(16, 16, 16.0, 16.0, 7.5, 7.5)
+    both, left = np.zeros((2, 16, 16), np.bool_)
+    both[2:14, 2:14] = left[2:14, 2:9] = True
+    welded, parted = (Mask.from_bitmap(both),), (Mask.from_bitmap(left), Mask.from_bitmap(left[:, ::-1]))
+    few = replace(  # whatever the switches, so small a world reaches every kernel that they can reach
+        parameters,
+        map=replace(parameters.map, voxel_size=0.04, max_depth=2.0),
+        masks=replace(parameters.masks, min_pixels=0, erosion=min(1, parameters.masks.erosion), step_margin=1),
+        evolution=replace(parameters.evolution, halving=1),
+    )
     timer = threading.Timer(COMPILES_AFTER, notice, ["compiling the mapper's kernels, once after an installation ..."])
     timer.start()
     try:
         mapper = Mapper(few)
-        for number in range(2):
-            frame = Frame(number, number, Pose.identity(), Rig(camera, camera), np.full((8, 8), 1000, np.uint16))
+        for number, masks in enumerate((welded, parted, parted)):
+            frame = Frame(number, number, Pose.identity(), Rig(camera, camera), np.full((16, 16), 1000, np.uint16))
             mapper.step(frame, masks)
+        mapper.finish()
     finally:
         timer.cancel()
 

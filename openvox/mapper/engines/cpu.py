@@ -61,8 +61,8 @@ class CpuEngine:
         self._max_mm = min(projection.MAX_MILLIMETRES, int(parameters.map.max_depth * 1000))
         self._rig: Rig | None = None
         self._room = 1 << 12
-        self._table = np.full(1 << 12, EMPTY, np.int32)
         self._keys = np.empty(1 << 11, np.int64)
+        self._table = pixels.rebuilt(self._keys, 0, 1 << 12)
         self._heads = np.empty(1 << 11, np.int32)
         self._backgrounds = np.zeros(1 << 11, np.int32)
         self._fragment = np.empty(1 << 11, np.int32)
@@ -100,12 +100,13 @@ class CpuEngine:
 
     def _smallest_on_top(self, masks: Sequence[Mask | None], rig: Rig) -> tuple[Ints, list[tuple[int, ...]]]:
         image = np.zeros((rig.color.height, rig.color.width), np.int32)
-        members: list[tuple[int, ...]] = [(), *((m,) for m in range(len(masks)))]
-        kept = [m for m, mask in enumerate(masks) if mask is not None]
-        for m in sorted(kept, key=lambda m: (-masks[m].area, m)):  # type: ignore[union-attr]
-            mask = masks[m]
+        areas = {m: mask.area for m, mask in enumerate(masks) if mask is not None}
+        order = sorted(areas, key=lambda m: (areas[m], -m))  # the smallest first, so that it has the lowest label
+        for label in range(len(order), 0, -1):
+            mask = masks[order[label - 1]]
             assert mask is not None
-            paint.paint(image, mask.bits, *mask.box, m + 1)
+            paint.paint(image, mask.bits, *mask.box, label)
+        members: list[tuple[int, ...]] = [(), *((m,) for m in order)]
         if not self._parameters.masks.erosion:
             return image, members
         out = np.empty_like(image)
@@ -144,7 +145,7 @@ class CpuEngine:
             self._room *= 2
         if p.masks.one_vote:
             most = pixels.majority(len(keys), voxel, label, count)
-            mask = np.where(most == 0, masks, most - 1).astype(np.int32)
+            mask = np.array([masks, *(group[0] for group in members[1:])], np.int32)[most]
             pair_voxel, pair_mask = np.arange(len(keys), dtype=np.int32), mask
             if not p.evolution.background:
                 pair_voxel, pair_mask = pair_voxel[mask < masks], mask[mask < masks]
