@@ -56,8 +56,8 @@ def small(parameters: MapperParameters, **masks: Any) -> MapperParameters:
 
 def rectangles(camera: Intrinsics) -> st.SearchStrategy[tuple[int, int, int, int]]:
     """Corners (u0, v0, u1, v1); sides of few lengths, so that areas are often equal, and sometimes nothing at all."""
-    side = st.sampled_from([0, 1, 3, 3, 5, 5, 8])
-    start = st.tuples(st.integers(0, camera.width - 1), st.integers(0, camera.height - 1))
+    side = st.sampled_from([5, 5, 8, 8, 12, 3, 3, 1, 0])
+    start = st.tuples(st.sampled_from([0, 1, 2, 4, 6, 11]), st.sampled_from([0, 1, 2, 4, 5, 9]))
     return st.builds(
         lambda a, w, h: (a[0], a[1], min(camera.width, a[0] + w), min(camera.height, a[1] + h)), start, side, side
     )
@@ -88,20 +88,34 @@ def masks(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> Mask:
 
 
 @st.composite
+def halves(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> tuple[Mask, Mask, Mask]:
+    """A mask and its left and right part: what a map may weld, cut and join."""
+    u0, v0, margin = draw(st.integers(0, 2)), draw(st.integers(0, 2)), draw(st.integers(0, 2))
+    whole = rectangle(u0, v0, camera.width - margin, camera.height - margin, camera)
+    whole = replace(whole, embedding=draw(masks(camera, dimensions)).embedding, kind=draw(st.sampled_from(MASK_KINDS)))
+    bitmap, column = whole.bitmap(camera.height, camera.width), draw(st.sampled_from([6, 4, 8]))
+    right = np.arange(camera.width) >= column
+    kind = draw(st.sampled_from(("object", *MASK_KINDS)))
+    parts = (Mask.from_bitmap(bitmap & side, kind=kind, embedding=whole.embedding) for side in (~right, right))
+    return whole, *parts
+
+
+@st.composite
 def depths(draw: st.DrawFn) -> NDArray[np.uint16]:
-    """A wall, or two with a step between, with pixels that measured nothing or the farthest."""
-    depth = np.full((HEIGHT, WIDTH), draw(st.sampled_from([0, 700, 1000, 1000, 1000, 1333, 65535])), np.uint16)
-    depth[:, draw(st.integers(0, WIDTH)) :] = draw(st.sampled_from([0, 1000, 1050, 1600]))
-    for u0, v0, u1, v1 in draw(st.lists(rectangles(CAMERA), max_size=2)):
-        depth[v0:v1, u0:u1] = draw(st.sampled_from([0, 800, 1000, 65535]))
+    """Mostly a wall; or two with a step between, and pixels that measured nothing or the farthest."""
+    depth = np.full((HEIGHT, WIDTH), draw(st.sampled_from([1000, 1000, 1000, 1333, 700, 65535, 0])), np.uint16)
+    if draw(st.booleans()):
+        depth[:, draw(st.integers(0, WIDTH)) :] = draw(st.sampled_from([1050, 1600, 0]))
+        for u0, v0, u1, v1 in draw(st.lists(rectangles(CAMERA), max_size=1)):
+            depth[v0:v1, u0:u1] = draw(st.sampled_from([800, 1000, 65535, 0]))
     return depth
 
 
 def poses() -> st.SearchStrategy[Pose]:
     """Around one place, seldom kilometres away: a step aside, a turn about any axis."""
-    angle = st.sampled_from([0.0, 0.0, 0.05, -0.3, math.pi])
+    angle = st.sampled_from([0.0, 0.0, 0.0, 0.05, -0.3, math.pi])
     axis = st.sampled_from([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.6, 0.8)])
-    place = st.tuples(*[st.sampled_from([0.0, 0.0, 0.1, -0.07, -1.25])] * 3)
+    place = st.tuples(*[st.sampled_from([0.0, 0.0, 0.0, 0.1, -0.07, -1.25])] * 3)
     return st.builds(
         lambda angle, axis, place: Pose(
             (*(math.sin(angle / 2) * a for a in axis), math.cos(angle / 2)),  # type: ignore[arg-type]
@@ -128,15 +142,16 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
     off = draw(st.one_of(st.just([]), st.lists(st.sampled_from(SWITCHES), unique=True, max_size=4)))
     out = updated(chosen, dict.fromkeys(off, False), source="test")
     numbers: dict[str, list[Any]] = {
-        "map.voxel_size": [0.1, 0.25],
+        "map.voxel_size": [0.1, 0.1, 0.25],
         "map.max_depth": [6.0, 65.0],
-        "masks.min_pixels": [0, 4],
-        "masks.erosion": [0, 1, 2],
+        "masks.min_pixels": [0, 0, 4],
+        "masks.erosion": [0, 0, 1, 2],
         "masks.step_margin": [0, 1, 2],
-        "association.threshold": [0.1, 0.4, 0.8],
+        "association.threshold": [0.4, 0.1, 0.8],
         "association.hidden_evidence": [1, 4],
-        "evolution.halving": [0, 1, 3, 100],
+        "evolution.halving": [100, 3, 1, 0],
         "evolution.cut_share": [0.03, 0.3],
+        "evolution.cut_inheritance": [4.0, 1.0, 0.0],
         "lifecycle.contradiction": [1.0, 1.5],
         "lifecycle.nested": [0.3, 0.7],
         "finish.smoothing": [0, 1, 3],
@@ -153,18 +168,24 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
 
 @st.composite
 def worlds(draw: st.DrawFn) -> World:
-    """1 to 6 frames; a scene's masks come again in later frames, as they are or with others."""
+    """Up to 18 frames of one or two scenes; lists of masks come again, among them a whole or its parts."""
     rig, dimensions = draw(rigs()), draw(st.sampled_from([0, 2, 3]))
     far = draw(st.sampled_from([0.0, 0.0, 0.0, -30_000.0]))
-    known = draw(st.lists(masks(rig.color, dimensions), min_size=1, max_size=6))
+    known = draw(st.lists(masks(rig.color, dimensions), min_size=1, max_size=4))
+    whole, left, right = draw(halves(rig.color, dimensions))
+    others = st.lists(st.sampled_from([*known, whole, left, right]), max_size=5).map(tuple)
+    story: list[Masks] = draw(
+        st.sampled_from([[(whole,), (left, right)], [(left, right), (whole,)], [(whole,), (left, right), (whole,)], []])
+    )
+    story = story + draw(st.lists(st.one_of(others, st.none()), min_size=0 if story else 1, max_size=3))
     scenes = draw(st.lists(st.tuples(depths(), poses()), min_size=1, max_size=2))
+    scenes = [scenes[0], *scenes]
+    seen: list[Masks] = []
+    for found in story:
+        seen += [found] * draw(st.sampled_from([1, 2, 2, 3]))
     frames = []
-    for index in range(draw(st.integers(1, 6))):
+    for index, found in enumerate(seen):
         depth, pose = draw(st.sampled_from(scenes))
         x, y, z = pose.translation
-        pose = Pose(pose.quaternion, (x + far, y - far, z))
-        seen = draw(
-            st.one_of(st.lists(st.sampled_from(known), max_size=5).map(tuple), st.none() if index else st.just(()))
-        )
-        frames.append((wall(index, depth, pose, rig), seen))
+        frames.append((wall(index, depth, Pose(pose.quaternion, (x + far, y - far, z)), rig), found))
     return World(tuple(frames), draw(parameters()))
