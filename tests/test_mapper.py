@@ -36,15 +36,19 @@ def mapped(
 
 @LIKELY
 @given(world=worlds())
-def test_counts_are_positive_and_shares_of_a_voxel_sum_to_one(world: World) -> None:
+def test_counts_are_positive_and_a_voxel_is_as_sure_as_the_share_of_what_it_shows(world: World) -> None:
     _, result = mapped(world.frames, world.parameters)
     assert (result.vote_count > 0).all()
     assert (np.diff(result.vote_offset) > 0).all()
     assert ((result.voxel_confidence >= 0) & (result.voxel_confidence <= 1)).all()
-    totals = np.add.reduceat(result.vote_count, result.vote_offset[:-1]) if len(result.vote_count) else []
-    for voxel, total in enumerate(totals):
-        votes = result.vote_count[result.vote_offset[voxel] : result.vote_offset[voxel + 1]]
-        assert sum(int(count) for count in votes) == total
+    for voxel, shown in enumerate(result.voxel_instance.tolist()):
+        of = {0: 0, **dict(zip(result.fragment_id.tolist(), result.fragment_instance.tolist(), strict=True))}
+        row = slice(result.vote_offset[voxel], result.vote_offset[voxel + 1])
+        shares: dict[int, float] = {}
+        for fragment, count in zip(result.vote_fragment[row].tolist(), result.vote_count[row].tolist(), strict=True):
+            key = 0 if fragment == 0 else of[fragment] or -1  # -1: of instances that were dropped
+            shares[key] = shares.get(key, 0.0) + count / result.vote_count[row].sum()
+        assert result.voxel_confidence[voxel] == pytest.approx(shares.get(shown, 0.0), abs=1e-5)
 
 
 @LIKELY
@@ -192,6 +196,20 @@ def test_a_mask_outside_the_picture_and_mixed_embeddings_are_one_sentence() -> N
     vector = replace(plain, embedding=np.array([1.0, 0.0], np.float32))
     with pytest.raises(InputError, match="frame 1, mask 0: its embedding has 2 numbers, earlier ones 0"):
         mapped([(wall(0), (plain,)), (wall(1), (vector,))], small(PAPER))
+
+
+def test_a_cut_moves_votes_and_loses_none() -> None:
+    whole, left, right = rectangle(0, 0, 12, 10), rectangle(0, 0, 5, 10), rectangle(5, 0, 12, 10)
+    frames = [(wall(0), (whole,)), (wall(1), (left, right))]
+    chosen = small(OPENVOX, erosion=0)
+    steps, cut = mapped(frames, chosen)
+    assert [(decision.by, decision.fragment) for decision in steps[1].decisions] == [("cut", 2), ("containment", 1)]
+    _, uncut = mapped(frames, updated(chosen, {"evolution.cut": False}, source="test"))
+    assert cut.voxel_index.tolist() == uncut.voxel_index.tolist()
+    totals = [np.add.reduceat(each.vote_count, each.vote_offset[:-1]).tolist() for each in (cut, uncut)]
+    assert totals[0] == totals[1]
+    assert set(cut.vote_count.tolist()) == {4}  # both frames' votes of a voxel lie with one piece
+    assert set(cut.vote_fragment.tolist()) == {1, 2}
 
 
 # ---- welds ----------------------------------------------------------------------------------------------------------
