@@ -87,7 +87,7 @@ def test_huge_runs_are_refused_before_any_allocation():
     longest = "ooooo?"  # five groups of 31 with more to follow, then 15: 2**29 - 1
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match="cover 1073741822 pixels; expected 6"):
+        with pytest.raises(InputError, match="hold runs that 6 pixels have no room for"):
             decode_rle(longest + longest, 2, 3)
         assert tracemalloc.get_traced_memory()[1] < 1 << 20
     finally:
@@ -101,3 +101,10 @@ def test_any_text_is_a_bitmap_of_the_right_size_or_a_sentence(counts, height, wi
     except InputError:
         return
     assert found.shape == (height, width)
+
+
+def test_runs_whose_sum_would_wrap_around_are_refused():
+    huge = "ooooo?"
+    for counts in (huge * 3, "0" * 100_000):
+        with pytest.raises(InputError, match=r"no room for|letters long"):
+            decode_rle(counts, 8, 8)

@@ -20,7 +20,7 @@ def voxels(
     depth: np.ndarray, pose: Pose, rig: Rig, *, registered: bool, size: float = 0.1
 ) -> list[tuple[list[int], int]]:
     """Voxel index and colour label of every entry; each colour pixel's label is its number in the picture."""
-    rays, look_up = projection.pixel_rays(rig.depth), projection.color_lookup(rig)
+    rays, look_up = projection.pixel_rays(rig.depth), projection.color_lookup(rig, projection.pixel_rays(rig.depth))
     transform = projection.voxel_transform(pose, 0.1, rays, 60000)
     labels = np.arange(rig.color.width * rig.color.height, dtype=np.int32).reshape(rig.color.height, rig.color.width)
     camera = np.array([look_up.fx, look_up.fy, look_up.cx, look_up.cy], np.int64)

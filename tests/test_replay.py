@@ -187,3 +187,42 @@ def test_what_finishing_drops_is_an_event_with_its_reason(recording: Path) -> No
     assert dropped
     assert {event.frame for event in dropped} == {3}
     assert "voxels: too few" in dropped[0].text
+
+
+def test_masks_for_none_of_the_frames_are_refused_and_leave_the_old_map(recording: Path) -> None:
+    replayed(recording)
+    before = recording.with_name("tiny.map.npz").read_bytes()
+    late = recording.with_name("late.perception.mcap")
+    perceive(recording, frontend="oracle", out=late, start=3, assignments=["oracle.min_pixels=1"])
+    with pytest.raises(InputError, match=r"late\.perception\.mcap: it has masks for none of the chosen frames"):
+        replayed(recording, perception=late, end=2)
+    assert recording.with_name("tiny.map.npz").read_bytes() == before
+
+
+def test_file_and_set_are_one_choice(recording: Path) -> None:
+    toml = recording.with_name("p.toml")
+    toml.write_text("[lifecycle]\nevidence = false\n")
+    chosen = replayed(recording, params=toml, sets=["lifecycle.evidence=true"])["parameters"]
+    assert chosen["evolution.cut"]
+    assert chosen["lifecycle.captions"]
+
+
+def test_what_was_replaced_is_said(recording: Path) -> None:
+    assert replayed(recording)["replaced"] == []
+    result = replayed(recording)
+    assert result["replaced"] == [result["outputs"]["map"], result["outputs"]["trace"]]
+
+
+def test_a_map_never_stands_beside_a_trace_that_could_not_be_completed(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from mcap.writer import Writer
+
+    def full(self: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "finish", full)
+    with pytest.raises(OutputError, match="No space left on device"):
+        replayed(recording)
+    assert not recording.with_name("tiny.map.npz").exists()
+    assert not list(recording.parent.glob("*.partial"))

@@ -114,6 +114,7 @@ def _map(path: Path) -> dict[str, Any]:
         low, high = found.voxel_index.min(0), found.voxel_index.max(0) + 1
         bounds = [[float(x * size) for x in corner] for corner in (low, high)]
     return {
+        **{key: value for key, value in sorted(found.meta.items()) if key not in ("kind", "path")},
         "digest": map_digest(found),
         "frames": found.meta.get("frames"),
         "voxels": len(found.voxel_index),
@@ -124,7 +125,6 @@ def _map(path: Path) -> dict[str, Any]:
         "vote_unit": found.vote_unit,
         "bounds": bounds,
         "dimensions": found.feature.shape[1],
-        **{key: value for key, value in sorted(found.meta.items()) if key != "frames"},
     }
 
 

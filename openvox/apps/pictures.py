@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from openvox.core.errors import InputError
-from openvox.core.types import Candidate, Decision
+from openvox.core.types import Candidate, Decision, InstanceMap
 from openvox.formats.map_npz import read_map
-from openvox.formats.perception import read_masks
+from openvox.formats.perception import perception_info, read_masks
 from openvox.formats.recording import read_frames, recording_info
 from openvox.formats.trace import read_trace
 
@@ -25,9 +25,11 @@ def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
 
     result = read_map(map_file)
     trace = map_file.with_name(map_file.name.removesuffix(MAP_SUFFIX) + ".trace.mcap")
-    recording, perception = (map_file.parent / str(result.meta.get(name)) for name in ("recording", "perception"))
-    if recording_info(recording).digest != result.meta["digests"]["recording"]:
-        raise InputError(f"{recording} is not the recording that {map_file} was made from; replay it")
+    recording, perception = (_named(map_file, result, name) for name in ("recording", "perception"))
+    digests = {"recording": recording_info(recording).digest, "perception": perception_info(perception).digest}
+    for name, digest in digests.items():
+        if digest != result.meta.get("digests", {}).get(name):
+            raise InputError(f"{map_file} was made from another {name} than lies there now; replay it")
     seen = next(read_frames(recording, start=frame, end=frame + 1, truth=False), None)
     masks = next(read_masks(perception, start=frame, end=frame + 1), None)
     step = next(read_trace(trace, frame), None)
@@ -37,6 +39,14 @@ def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
     draw_map(result, out["map"])
     draw_frame(seen, masks.masks, [_decision(row) for row in step.decisions], result, out["frame"])
     return {name: str(path) for name, path in out.items()}
+
+
+def _named(map_file: Path, result: InstanceMap, name: str) -> Path:
+    """The file that a map names; relative to the map, as replay writes it."""
+    path = result.meta.get(name)
+    if not isinstance(path, str) or not path or Path(path).is_absolute():
+        raise InputError(f"{map_file} names no {name} relative to itself; replay it")
+    return map_file.parent / path
 
 
 def _decision(row: Mapping[str, Any]) -> Decision:

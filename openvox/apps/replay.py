@@ -57,7 +57,9 @@ def replay(
     found = perception_info(_perception_of(recording, perception))
     stem = Path(out) if out else recording.with_suffix("")
     map_path, trace_path = Path(f"{stem}.map.npz"), Path(f"{stem}.trace.mcap")
-    _check_outputs([recording, found.path], [map_path, trace_path, *([rerun] if rerun else [])])
+    outputs = [map_path, trace_path, *([rerun] if rerun else [])]
+    _check_outputs([recording, found.path], outputs)
+    replaced = [str(path) for path in outputs if path.exists()]
     warm_up(parameters, notice)
     begin = time.perf_counter()
     watch, counter = Stopwatch(), Counting(progress, _count(source, start, end, stride))
@@ -80,11 +82,16 @@ def replay(
             raise InputError(
                 f"{recording}: no frame lies in the chosen range; openvox info {recording} shows the numbers"
             )
+        if not counter.looked:
+            raise InputError(
+                f"{found.path}: it has masks for none of the chosen frames of {recording}; is it of another recording?"
+            )
         result = mapper.finish()
         for observer in observers:
             observer.close(result)
-        digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
-        write_map(map_path, replace(result, meta=_meta(about, found, sources, digests, counter.frames)))
+    # last, so that a map never stands beside a trace that could not be completed
+    digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
+    write_map(map_path, replace(result, meta=_meta(about, found, sources, digests, counter.frames)))
     seconds = time.perf_counter() - begin
     watch.times["trace"] = [1000 * value for value in trace.seconds]
     return {
@@ -97,16 +104,18 @@ def replay(
         "decisions": dict(sorted(counter.rules.items())),
         "digests": digests,
         "outputs": {"map": str(map_path), "trace": str(trace_path), "rerun": str(rerun) if rerun else None},
+        "replaced": replaced,
         **about,
     }
 
 
 def chosen_parameters(preset_name: str, params: Path | None, assignments: Sequence[str]) -> MapperParameters:
     """preset < file < --set. Raises InputError."""
+    given = from_assignments(assignments)
     chosen = preset(preset_name)
-    if params is not None:
-        chosen = updated(chosen, from_toml(params), source=str(params))
-    return updated(chosen, from_assignments(assignments), source="--set")
+    file = from_toml(params) if params else {}
+    source = "--set" if not params else f"{params}, --set" if given else str(params)
+    return updated(chosen, {**file, **given}, source=source)
 
 
 def warm_up(parameters: MapperParameters, notice: Callable[[str], None]) -> None:
@@ -153,12 +162,13 @@ class Counting:
 
     def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
         self._progress, self._total = progress, total
-        self.frames = 0
+        self.frames = self.looked = 0
         self.rules: Counter[str] = Counter()
 
     def on_step(self, step: Step) -> None:
         """One frame more."""
         self.frames += 1
+        self.looked += step.looked
         self.rules.update(decision.by for decision in step.decisions)
         if self._progress:
             self._progress(self.frames, self._total)

@@ -163,7 +163,7 @@ def replay(data: Data) -> None:
         print(f"{name} digest {digest}")
     for path in data["outputs"].values():
         if path:
-            _wrote(path)
+            _wrote(path, path in data["replaced"])
 
 
 def query(data: Data) -> None:

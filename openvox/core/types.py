@@ -50,10 +50,8 @@ class Intrinsics:
                 f"camera is {self.width}x{self.height} pixels; expected sides between 1 and {MAX_IMAGE_SIDE}"
             )
         values = (self.fx, self.fy, self.cx, self.cy)
-        if not all(math.isfinite(value) for value in values) or self.fx <= 0 or self.fy <= 0:
-            raise InputError(
-                f"intrinsics fx, fy, cx, cy are {values}; expected finite numbers with positive focal lengths"
-            )
+        if not (min(self.fx, self.fy) >= 0.01 and all(abs(value) <= 1e6 for value in values)):
+            raise InputError(f"intrinsics fx, fy, cx, cy are {values}; expected pixels, focal lengths of 0.01 to 1e6")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +63,8 @@ class Pose:
 
     def __post_init__(self) -> None:
         numbers = (*self.quaternion, *self.translation)
-        if not all(math.isfinite(number) for number in numbers):
-            raise InputError(f"pose holds a number that is not finite: {numbers}")
+        if not all(math.isfinite(number) and abs(number) <= 1e12 for number in numbers):
+            raise InputError(f"pose holds a number that is not finite, or beyond 1e12: {numbers}")
         norm = math.sqrt(sum(q * q for q in self.quaternion))
         if abs(norm - 1.0) > 1e-3:
             raise InputError(f"pose quaternion has length {norm:.6f}; expected 1")
@@ -212,6 +210,8 @@ class Mask:
                 f"mask bits are {self.bits.dtype} of shape {self.bits.shape}; "
                 f"expected {expected} bytes for box {self.box}"
             )
+        if len(self.bits) and self.bits[-1] & ((1 << (-(x1 - x0) * (y1 - y0) % 8)) - 1):
+            raise InputError(f"mask bits go on behind its box {self.box}; expected zeros")
         if self.kind not in MASK_KINDS:
             raise InputError(f"mask kind is {self.kind!r}; expected one of {', '.join(MASK_KINDS)}")
         if not (0.0 <= self.score <= 1.0 and 0.0 <= self.caption_score <= 1.0):

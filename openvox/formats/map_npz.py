@@ -124,7 +124,8 @@ def _check_votes(path: Path, a: Mapping[str, NDArray[Any]]) -> None:
     x, y, z = index.T
     _ascending(path, "voxel_index", ((x << 42) + (y << 21) + z))
     offset = a["vote_offset"]
-    if offset[0] != 0 or offset[-1] != len(a["vote_fragment"]) or (np.diff(offset) < 1).any():
+    inside = offset.min() >= 0 and offset.max() <= len(a["vote_fragment"])  # then differences cannot wrap
+    if not inside or offset[0] != 0 or offset[-1] != len(a["vote_fragment"]) or (np.diff(offset) < 1).any():
         raise _wrong(
             path, "vote_offset", f"does not rise from 0 to {len(a['vote_fragment'])} with votes in every voxel"
         )

@@ -24,9 +24,14 @@ def decode_rle(counts: str, height: int, width: int) -> Bitmap:
         raise InputError(
             f"mask is {width}x{height} pixels; expected sides of at least 1 and at most {MAX_MASK_PIXELS} pixels"
         )
+    pixels = height * width
+    if len(counts) > _MAX_GROUPS * (pixels + 2):
+        raise InputError(f"mask counts are {len(counts)} letters long, more than {pixels} pixels can need")
     runs = _runs(counts)
     if len(runs) and int(runs.min()) < 0:
         raise InputError("mask counts hold a run of negative length; expected COCO compressed run lengths")
+    if len(runs) > pixels + 2 or (len(runs) and int(runs.max()) > pixels):  # then their sum cannot wrap
+        raise InputError(f"mask counts hold runs that {pixels} pixels have no room for")
     total = int(runs.sum())
     if total != height * width:
         raise InputError(

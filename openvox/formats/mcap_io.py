@@ -336,8 +336,9 @@ def _chunk_before(path: Path, file: BinaryIO, summary: _Summary, sequence: int) 
 def _first_sequence(path: Path, file: BinaryIO, summary: _Summary, offset: int) -> int:
     """Sequence of a chunk's first message, without unpacking what follows."""
     content = next((content for opcode, content in _Records(path, file, offset, summary.data_end)), b"")
-    at = _CHUNK.size + _CHUNK.unpack_from(content)[4] + 8
-    with closing(zstandard.ZstdDecompressor().stream_reader(io.BytesIO(content[at:]))) as data:
+    named = _CHUNK.unpack_from(content)[4]
+    packed = io.BytesIO(content[_CHUNK.size + named + 8 :])
+    with closing(zstandard.ZstdDecompressor().stream_reader(packed) if named else packed) as data:
         while True:
             opcode, length = _RECORD.unpack(data.read(_RECORD.size))
             if opcode == Opcode.MESSAGE:

@@ -11,7 +11,7 @@ import os
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -120,11 +120,13 @@ class PerceptionWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
+        with ExitStack() as stack:
+            stack.push(self._file.__exit__)
+            if error is not None:
+                raise error
             counts = {name: self._kinds[name] for name in MASK_KINDS if self._kinds[name]}
             numbers = {"frames": str(self.frames), "masks": str(self._masks), "kinds": _json(counts)}
             self._file.metadata(METADATA, {**self._begin, **numbers, "digest": self._digest})
-        self._file.__exit__(kind, error, trace)
 
     def add(self, found: FrameMasks) -> None:
         """The next frame that was looked at; frame numbers rise, and every mask has its embedding."""
@@ -202,6 +204,11 @@ def read_masks(
             raise InputError(
                 f"{path}, frame {found.index}: a vector has not {info.dimensions} numbers; run perceive again"
             )
+        for m, mask in enumerate(found.masks):
+            if not abs(float(np.linalg.norm(mask.embedding)) - 1) < 1e-3:  # type: ignore[arg-type]  # NaN fails, too
+                raise InputError(
+                    f"{path}, frame {found.index}, mask {m}: its embedding is not of unit length; run perceive again"
+                )
         yield found
         count += 1
     if start is None and count != info.frames:

@@ -179,7 +179,9 @@ class RecordingWriter:
 def recording_info(path: Path) -> RecordingInfo:
     """What the recording says about itself, and its first frame's cameras. Raises InputError."""
     record = _metadata(path)
-    first = next(_frames(path, None, None, 1, truth=False))
+    first = next(_frames(path, None, None, 1, truth=False), None)
+    if first is None:
+        raise InputError(f"{path} holds no frame; make it again from its source")
     try:
         dropped = {str(reason): int(entry["count"]) for reason, entry in json.loads(record["dropped"]).items()}
         return RecordingInfo(

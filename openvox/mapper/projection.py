@@ -88,13 +88,23 @@ def voxel_transform(world_from_camera: Pose, voxel_size: float, rays: Rays, max_
     return VoxelTransform(np.array(a, np.int64), np.array(b, np.int64), np.array(c, np.int64))
 
 
-def color_lookup(rig: Rig) -> ColorLookup:
-    """What the integer look-up of a depth pixel in the colour camera's picture needs."""
+def color_lookup(rig: Rig, rays: Rays) -> ColorLookup:
+    """What the integer look-up of a depth pixel in the colour camera's picture needs.
+
+    rays: of the depth camera. Raises InputError where 63 bits would not do."""
     rows, (tx, ty, tz) = rig.depth_from_color.rotation(), rig.depth_from_color.translation
     inverse = [[rows[j][i] for j in range(3)] for i in range(3)]
     moved = [-(row[0] * tx + row[1] * ty + row[2] * tz) * 1000.0 for row in inverse]
     if max(abs(value) for value in moved) > 65_000:
         raise InputError("the colour camera is more than 65 m away from the depth camera; expected one device")
+    slope = 1.0 + float(np.abs(rays.x).max() + np.abs(rays.y).max()) / (1 << 18)
+    farthest = (MAX_MILLIMETRES * slope + max(abs(value) for value in moved)) * (1 << 16)
+    pixels = max(rig.color.fx, rig.color.fy) + max(abs(rig.color.cx), abs(rig.color.cy))
+    if farthest * (1 << 28) >= 1 << 63 or 2 * farthest * pixels * (1 << 16) + farthest * (1 << 16) >= 1 << 63:
+        raise InputError(
+            f"the look-up between a depth camera with rays of slope {slope - 1:.1f} and a colour camera of focal "
+            f"length {rig.color.fx:.0f} does not fit 63 bits; register depth to colour before ingesting"
+        )
     return ColorLookup(
         np.array([[round(value * (1 << 26)) for value in row] for row in inverse], np.int64),
         np.array([round(value * (1 << 44)) for value in moved], np.int64),

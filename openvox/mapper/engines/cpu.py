@@ -120,7 +120,7 @@ class CpuEngine:
         self._rays = projection.pixel_rays(rig.depth)
         self._skip = np.zeros((rig.depth.height, rig.depth.width), np.uint8)
         self._near = np.zeros_like(self._skip)
-        look_up = projection.color_lookup(rig)
+        look_up = projection.color_lookup(rig, self._rays)
         self._color = (
             look_up.rotation,
             look_up.translation,
