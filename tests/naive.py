@@ -228,13 +228,13 @@ class Twin:
             least = round(self.p.evolution.cut_share * MILLION) * sum(c[f] for c in common)
             over = [
                 m
-                for m, choice in enumerate(choices)
-                if f in choice.held
+                for m in sorted(areas, key=lambda m: (-len(areas[m]), m))
+                if f in choices[m].held
                 and not (self.p.lifecycle.kinds and masks[m].kind == "region")
                 and common[m][f] >= 5
                 and MILLION * common[m][f] >= least
             ]
-            keeper = min(over, key=lambda m: (-len(view.under[m]), m), default=None)
+            keeper = min(over, key=lambda m: (-len(view.under[m]), over.index(m)), default=None)
             for m in over:
                 mostly = 2 * common[m][f] >= len(view.under[m])
                 if m != keeper and keeper is not None and mostly and not self.nested(areas[m], areas[keeper]):

@@ -95,7 +95,7 @@ class EvolutionParameters:
         why="least share of the fragment's masked voxels on either side of a cut",
     )
     cut_inheritance: float = parameter(
-        4.0,
+        2.0,
         "factor",
         0.0,
         100.0,

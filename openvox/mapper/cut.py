@@ -63,25 +63,26 @@ def cuts(
     nesting: Nesting,
     parameters: MapperParameters,
 ) -> list[Cut]:
-    """The cuts that this frame asks for, by fragment, then by mask.
+    """The cuts that this frame asks for, by fragment, then by mask (area down, then position).
 
     voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks that hold the fragment and
     have enough of it, the largest keeps it; every other one that is mostly this fragment and not nested with the keeper
     takes its part."""
     share = fixedpoint.millionths(parameters.evolution.cut_share)
     able = [
-        m
+        (-mask.area, m)
         for m, mask in enumerate(masks)
         if mask is not None and associations[m].main and (mask.kind != "region" or not parameters.lifecycle.kinds)
     ]
+    order = [m for _, m in sorted(able)]
     out = []
     for column, fragment in enumerate(columns.tolist()):
         common = overlap[:, column].tolist()
         least = max(MIN_CUT * fixedpoint.MILLION, share * sum(common[:-1]))
-        under = [m for m in able if fragment in associations[m].held and fixedpoint.MILLION * common[m] >= least]
+        under = [m for m in order if fragment in associations[m].held and fixedpoint.MILLION * common[m] >= least]
         if len(under) < 2:
             continue
-        keeper = max(under, key=lambda m: (int(voxels[m]), -m))
+        keeper = max(under, key=lambda m: (int(voxels[m]), -order.index(m)))
         out += [
             Cut(fragment, keeper, m)
             for m in under
