@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -67,3 +68,10 @@ def test_a_folder_in_the_place_of_the_file_is_refused_before_any_work(tmp_path: 
     (tmp_path / "a").mkdir()
     with pytest.raises(OutputError, match="is a folder"), partial_file(tmp_path / "a"):
         pytest.fail("the block must not run")
+
+
+def test_a_device_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OutputError, match="is a device or a pipe, which would be replaced"):
+        write(tmp_path / "pipe", "new")
+    assert (tmp_path / "pipe").is_fifo()

@@ -481,3 +481,21 @@ def test_a_damaged_recording_leaves_the_older_result_as_it_was(large):
 def test_a_place_that_cannot_be_written_is_a_sentence(tiny):
     with pytest.raises(OutputError, match=r"none/a.mcap could not be written"):
         perceive(tiny, frontend="oracle", out=tiny.parent / "none" / "a.mcap")
+
+
+def test_after_an_interrupt_the_next_run_goes_on_from_what_was_done(tiny, monkeypatch):
+    from openvox.formats.perception import PerceptionWriter
+
+    add = PerceptionWriter.add
+
+    def until_the_third(self, found):
+        if self.frames == 2:
+            raise KeyboardInterrupt
+        add(self, found)
+
+    monkeypatch.setattr(PerceptionWriter, "add", until_the_third)
+    with pytest.raises(KeyboardInterrupt):
+        perceive(tiny, frontend="oracle")
+    monkeypatch.undo()
+    assert perceive(tiny, frontend="oracle").reused == 2
+    assert not list(tiny.parent.glob("*.partial"))

@@ -11,22 +11,26 @@ from openvox.core.errors import OutputError
 
 
 @contextmanager
-def partial_file(path: Path) -> Iterator[Path]:
+def partial_file(path: Path, *, resumable: bool = False) -> Iterator[Path]:
     """Yields NAME.partial to be written; it becomes `path`, replacing an older file, when the block ends well.
 
-    On any exception the partial file is removed and what stood at `path` is left as it was. An OSError of the block is
+    On any exception the partial file is removed (not on Ctrl-C, if it is resumable: the next run goes on from it) and
+    what stood at `path` is left as it was. An OSError of the block is
     taken for one of writing: the block turns errors of its inputs into InputError itself. Raises OutputError.
     """
     partial = path.with_name(path.name + ".partial")
     try:
         if path.is_dir():
             raise OutputError(f"{path} is a folder; name a file to write")
+        if path.exists() and not path.is_file():
+            raise OutputError(f"{path} is a device or a pipe, which would be replaced; name a file to write")
         yield partial
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(partial, path)
     except BaseException as error:
-        _remove(partial)
+        if not (resumable and isinstance(error, KeyboardInterrupt)):
+            _remove(partial)
         if isinstance(error, OSError):
             raise OutputError(
                 f"{path} could not be written ({error.strerror or error}); nothing was left there, an older file "

@@ -14,7 +14,7 @@ import zlib
 from array import array
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -69,14 +69,15 @@ class Message:
 class McapWriter:
     """Writes one MCAP file, complete or not at all. A context manager; the same calls give the same bytes."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, *, resumable: bool = False):
         self.path = path
+        self._resumable = resumable
         self._channels: dict[str, int] = {}
         self._chunk_start = self._chunk_bytes = 0
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            partial = stack.enter_context(partial_file(self.path))
+            partial = stack.enter_context(partial_file(self.path, resumable=self._resumable))
             file = stack.enter_context(partial.open("wb"))
             # The library's own limit is out of reach, so that chunks are closed here, by bytes and by time.
             self._writer = Writer(file, chunk_size=MAX_RECORD, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -88,6 +89,9 @@ class McapWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
+            if self._resumable and isinstance(error, KeyboardInterrupt):
+                with suppress(OSError):
+                    self._close_chunk()
             self._stack.__exit__(kind, error, trace)
             return
         with self._stack:

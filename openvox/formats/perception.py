@@ -108,7 +108,7 @@ class PerceptionWriter:
             "stages": _json(list(stages)),
         }
         self._encoder, self._dimensions = encoder, dimensions
-        self._file = McapWriter(path)
+        self._file = McapWriter(path, resumable=True)
         self.frames = self._masks = 0
         self._kinds: Counter[str] = Counter()
         self._digest = START
