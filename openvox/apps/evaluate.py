@@ -58,8 +58,14 @@ def evaluate(
         "notes": [
             *([f"no detected_iou: {no_perception}"] if rendered is not None and no_perception else []),
             *([f"no semantics and retrieval: {no_encoder}"] if no_encoder else []),
+            *([] if truth.is_dir() else [NOISY_TRUTH]),
         ],
     }
+
+
+NOISY_TRUTH = (
+    "points made from a recording carry its sensor's noise and score lower; compare only figures of one kind of truth"
+)
 
 
 def _figures(scores: InstanceScore) -> dict[str, Any]:

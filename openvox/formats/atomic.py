@@ -18,10 +18,10 @@ def partial_file(path: Path, *, resumable: bool = False) -> Iterator[Path]:
     what stood at `path` is left as it was. An OSError of the block is
     taken for one of writing: the block turns errors of its inputs into InputError itself. Raises OutputError.
     """
+    if path.is_dir():
+        raise OutputError(f"{path} is a folder; name a file to write")
     partial = path.with_name(path.name + ".partial")
     try:
-        if path.is_dir():
-            raise OutputError(f"{path} is a folder; name a file to write")
         if path.exists() and not path.is_file():
             raise OutputError(f"{path} is a device or a pipe, which would be replaced; name a file to write")
         yield partial

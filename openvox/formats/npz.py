@@ -67,7 +67,9 @@ def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
         with zipfile.ZipFile(path) as archive:
             yield archive
     except _BROKEN as error:
-        raise InputError(f"{path} is no whole .npz file ({error or type(error).__name__}); make it anew") from error
+        raise InputError(
+            f"{path} is no whole .npz file ({error or type(error).__name__}); expected a map made by openvox replay"
+        ) from error
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error}); expected an .npz file") from error
 
