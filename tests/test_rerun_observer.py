@@ -530,3 +530,17 @@ def truth_masks(frame: Frame) -> Iterator[Mask]:
     ids: NDArray[np.uint16] = frame.truth_instances
     for instance in np.unique(ids[ids > 0]).tolist():
         yield Mask.from_bitmap(ids == instance, caption=f"thing {instance}")
+
+
+def test_a_writer_that_stops_amid_the_run_is_one_sentence_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*arguments: object, **options: object) -> None:
+        raise RuntimeError("File-writer thread shut down prematurely")
+
+    step = Mapper(preset("paper")).step(tiny_frames(1)[0], ())
+    with RerunObserver(tmp_path / "run.rrd", voxel_size=0.04) as observer:
+        monkeypatch.setattr(rr.RecordingStream, "log", stopped)
+        with pytest.raises(OutputError, match=r"run\.rrd could not be written \(Rerun's writer stopped: File-writer"):
+            observer.on_step(step)
+    assert list(tmp_path.iterdir()) == []

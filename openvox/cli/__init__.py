@@ -44,6 +44,8 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 def _flush() -> None:
     """Empty stdout now: a reader that has gone (`openvox info x | head -1`) is no error of ours."""
+    if sys.stdout is None:  # closed by the caller (`openvox info x >&-`)
+        return
     try:
         sys.stdout.flush()
     except BrokenPipeError:

@@ -7,8 +7,8 @@ end.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,6 +19,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from openvox.core.colors import instance_color
+from openvox.core.errors import OutputError
 from openvox.core.types import Event, Frame, InstanceMap, Intrinsics, Step
 from openvox.formats.atomic import partial_file
 from openvox.view import decision_table, entities
@@ -64,7 +65,11 @@ class RerunObserver:
         self.abort()
 
     def on_step(self, step: Step) -> None:
-        """Log one frame; nothing of the step is changed."""
+        """Log one frame; nothing of the step is changed. Raises OutputError where the file cannot be written."""
+        with self._refusals():
+            self._log_step(step)
+
+    def _log_step(self, step: Step) -> None:
         self._at(step.frame)
         self._log_camera(step.frame)
         change = self._map.apply(step)
@@ -82,7 +87,7 @@ class RerunObserver:
 
     def close(self, result: InstanceMap) -> None:
         """Log the finished map at the last frame and complete the file. Raises OutputError."""
-        with self._file:
+        with self._file, self._refusals():
             if self._frame is not None:
                 self._log_finished(result, self._frame)
                 self._log_events(result.events)
@@ -93,11 +98,24 @@ class RerunObserver:
 
     def abort(self) -> None:
         """Give up: nothing is left behind. After `close` nothing happens."""
-        self._recording.disconnect()
+        with suppress(RuntimeError):  # of a writer that has stopped already
+            self._recording.disconnect()
         with suppress(_AbortedError), self._file:
             raise _AbortedError
 
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        """What Rerun makes of a full disk, as a sentence of ours."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise OutputError(
+                f"{self._path} could not be written (Rerun's writer stopped: {error}); nothing was left there: "
+                "check the space on the disk"
+            ) from error
+
     def _open(self, path: Path) -> None:
+        self._path = path
         with ExitStack() as stack:
             self._partial = stack.enter_context(partial_file(path))
             try:
