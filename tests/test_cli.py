@@ -196,7 +196,7 @@ def test_perceive_tells_what_it_found(recording: Path, tmp_path: Path, capsys: p
     assert run(*words) == 0
     said = capsys.readouterr().out
     assert said.startswith("4 frames looked at, ")
-    assert said.endswith(f"wrote {out}\nnext: openvox replay {recording}\n")
+    assert said.endswith(f"wrote {out}\nnext: openvox replay {recording} --perception {out}\n")
     assert run(*words, "--json") == 0
     again = json.loads(capsys.readouterr().out)
     assert (again["frames"], again["reused"], again["output"]) == (4, 4, str(out))

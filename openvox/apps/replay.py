@@ -96,6 +96,7 @@ def replay(
     watch.times["trace"] = [1000 * value for value in trace.seconds]
     return {
         "frames": counter.frames,
+        "looked": counter.looked,
         "seconds": seconds,
         "frames_per_second": counter.frames / seconds,
         "ms": {stage: _summary(watch.times.get(stage, [])) for stage in STAGES},

@@ -153,6 +153,8 @@ def replay(data: Data) -> None:
         f"{data['frames']} frames in {data['seconds']:.2f} s ({data['frames_per_second']:.1f} a second), "
         f"preset {data['preset']}, engine {data['engine']}"
     )
+    if data["looked"] < data["frames"]:
+        print(f"perception looked at {data['looked']} of them; the others changed nothing")
     print(f"{data['voxels']} voxels, {data['instances']} instances")
     _print_table(
         ["ms", "mean", "median", "p95"],
