@@ -133,8 +133,8 @@ def perceive(
         )
 
     if len(recordings) == 1:
-        replay_next: list[str | Path] = [recordings[0], *(["--perception", out] if out else [])]
-        tables.show(work(recordings[0]), json, tables.perceive, "openvox", "replay", *replay_next)
+        other: tuple[str | Path, ...] = ("--perception", out) if out else ()
+        tables.show(work(recordings[0]), json, tables.perceive, "openvox", "replay", recordings[0], *other)
         return
     results = [_attempt(recording, work) for recording in recordings]
     tables.show({"recordings": results}, json, tables.perceive_several)
