@@ -8,12 +8,12 @@ from typing import Any
 
 from openvox.core.errors import InputError
 from openvox.core.types import Candidate, Decision, InstanceMap
+from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import perception_info, read_masks
 from openvox.formats.recording import read_frames, recording_info
+from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import read_trace
-
-MAP_SUFFIX = ".map.npz"
 
 
 def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
@@ -24,7 +24,7 @@ def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
     from openvox.view.pictures import draw_frame, draw_map  # cv2, numba
 
     result = read_map(map_file)
-    trace = map_file.with_name(map_file.name.removesuffix(MAP_SUFFIX) + ".trace.mcap")
+    trace = map_file.with_name(map_file.name.removesuffix(MAP_SUFFIX) + TRACE_SUFFIX)
     recording, perception = (_named(map_file, result, name) for name in ("recording", "perception"))
     digests = {"recording": recording_info(recording).digest, "perception": perception_info(perception).digest}
     for name, digest in digests.items():

@@ -21,9 +21,12 @@ from openvox.core.mapper_parameters import MapperParameters, preset
 from openvox.core.parameters import as_dict, from_assignments, from_toml, updated
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Pose, Rig, Step
 from openvox.formats.ahead import read_ahead
+from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import write_map
+from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
 from openvox.formats.perception import FrameMasks, PerceptionInfo, perception_info, read_masks
 from openvox.formats.recording import RecordingInfo, read_frames, recording_info
+from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
 from openvox.mapper.mapper import Mapper
 
@@ -56,7 +59,7 @@ def replay(
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
     stem = Path(out) if out else recording.with_suffix("")
-    map_path, trace_path = Path(f"{stem}.map.npz"), Path(f"{stem}.trace.mcap")
+    map_path, trace_path = Path(f"{stem}{MAP_SUFFIX}"), Path(f"{stem}{TRACE_SUFFIX}")
     outputs = [map_path, trace_path, *([rerun] if rerun else [])]
     _check_outputs([recording, found.path], outputs)
     replaced = [str(path) for path in outputs if path.exists()]
@@ -179,7 +182,7 @@ class Counting:
 
 
 def _perception_of(recording: Path, perception: Path | None) -> Path:
-    path = perception or recording.with_suffix(".perception.mcap")
+    path = perception or recording.with_suffix(PERCEPTION_SUFFIX)
     if not path.exists():
         raise InputError(f"{path}: no such file; run openvox perceive {recording} first, or name one with --perception")
     return path

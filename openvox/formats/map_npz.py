@@ -18,6 +18,7 @@ from openvox.formats.atomic import partial_file
 from openvox.formats.npz import check_layout, read_arrays, write_arrays
 
 FORMAT_VERSION = 1
+SUFFIX = ".map.npz"
 STATE = "state_"
 COORDINATE_LIMIT = 1 << 20
 """Voxel coordinates are 21-bit integers: at least -COORDINATE_LIMIT and below it."""

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
-from openvox.core.types import Frame, IdImage, Intrinsics
+from openvox.core.types import IdImage, Intrinsics
 from openvox.formats.images import decode_png16
 from openvox.formats.recording import read_frames, recording_info
 from openvox.sources.source import camera_of, numbered, parse_matrix, pose_of, read_bytes, read_text
+from openvox.view.viewpoint import world_from_color
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +44,6 @@ def truth_images(truth: Path) -> Iterator[TruthImage]:
     for frame in read_frames(truth):
         if frame.truth_instances is not None:
             yield TruthImage(frame.index, frame.truth_instances, world_from_color(frame), frame.rig.color)
-
-
-def world_from_color(frame: Frame) -> NDArray[np.float64]:
-    """(4, 4) pose of the colour camera."""
-    return frame.world_from_depth.matrix() @ frame.rig.depth_from_color.matrix()
 
 
 def _folder_images(folder: Path) -> Iterator[TruthImage]:

@@ -181,7 +181,7 @@ class CpuEngine:
         under = np.sort(under[under != EMPTY])
         before = votes.counts_of(under, np.full_like(under, source), self._heads, self._backgrounds, *self._lists)
         rows = under[before > 0]
-        votes.move_votes(rows, source, target, self._heads, *self._lists)
+        votes.move_votes(rows, source, target, self._heads, self._fragment, self._next)
         return rows, int(before.sum())
 
     def targets(
@@ -195,7 +195,7 @@ class CpuEngine:
         self._number[look.fragments] = np.arange(len(look.fragments), dtype=np.int32)
         target: Ints = votes.choose_targets(
             region.pair_voxel, region.pair_mask, look.rows, look.label, region.masks, self._number, held, main,
-            undecided, held.any(0), self._parameters.evolution.voxel_votes, look.fragments,
+            undecided, held.any(0), self._parameters.evolution.voxel_votes,
             self._heads, *self._lists,
         )  # fmt: skip
         self._number[look.fragments] = EMPTY

@@ -44,7 +44,7 @@ def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, followi
     """What the map holds where the frame looks.
 
     Returns, for each key: row (EMPTY if new), owner (strongest fragment if it beats background, else 0), and label
-    (the same with hidden_evidence x votes against background); and whether any fragment has votes there."""
+    (the same with hidden_evidence x votes against background)."""
     n = keys_seen.size
     rows = np.empty(n, np.int32)
     owner = np.zeros(n, np.int32)
@@ -108,7 +108,7 @@ def shares(pair_voxel, pair_mask, rows, label, masks, columns, number, heads, ba
 
 @njit(cache=True, nogil=True)
 def choose_targets(
-    pair_voxel, pair_mask, rows, label, masks, number, held, main, undecided, matched, voxel_votes, found,
+    pair_voxel, pair_mask, rows, label, masks, number, held, main, undecided, matched, voxel_votes,
     heads, fragment, count, following,
 ):  # fmt: skip
     """The fragment that each (voxel, mask) pair votes for: > 0, 0 = background, EMPTY = nothing.
@@ -169,18 +169,14 @@ def add_votes(rows, targets, amounts, heads, backgrounds, fragment, count, follo
 
 
 @njit(cache=True, nogil=True)
-def move_votes(rows, source, target, heads, fragment, count, following):
-    """Rename the votes for `source` to the new fragment `target`; returns rows moved and votes moved."""
-    moved_rows, moved_votes = 0, 0
+def move_votes(rows, source, target, heads, fragment, following):
+    """Rename the votes for `source` to the new fragment `target`."""
     for row in rows:
         slot = heads[row]
         while slot != EMPTY:
             if fragment[slot] == source:
                 fragment[slot] = target
-                moved_rows += 1
-                moved_votes += count[slot]
             slot = following[slot]
-    return moved_rows, moved_votes
 
 
 @njit(cache=True, nogil=True)
