@@ -16,6 +16,7 @@ from worlds import tiny_frames, write_scannet
 from openvox import __version__
 from openvox.apps.pictures import pictures
 from openvox.cli import commands, main, options, progress, tables
+from openvox.cli.commands import ingest, query, replay
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import PRESETS
 from openvox.formats.map_npz import write_map
@@ -127,7 +128,7 @@ def test_json_stands_alone_on_stdout_and_a_table_names_the_next_step(capsys: pyt
 
 def test_a_caption_cannot_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     answer = {"instance": 1, "caption": "a \x1b[2Jchair [red]", "score": 0.5, "center": [0.0, 0.0, 0.0], "voxels": 7}
-    tables.query({"queries": [{"text": "seat", "found": True, "answers": [answer]}]})
+    query.print_result({"queries": [{"text": "seat", "found": True, "answers": [answer]}]})
     out = capsys.readouterr().out
     assert "a ?[2Jchair [red]" in out
     assert "\x1b[2J" not in out
@@ -340,12 +341,12 @@ def test_pictures_are_drawn_of_the_map_and_of_a_frame(replayed: Path, tmp_path: 
 
 
 def test_the_choices_of_an_option_are_those_there_are() -> None:
-    assert get_args(get_type_hints(commands.replay)["preset"]) == tuple(PRESETS)
-    assert get_args(get_type_hints(commands.ingest)["layout"]) == ("auto", *FORMATS)
+    assert get_args(get_type_hints(replay.replay)["preset"]) == tuple(PRESETS)
+    assert get_args(get_type_hints(ingest.ingest)["layout"]) == ("auto", *FORMATS)
 
 
 def test_an_interrupt_inside_a_kernel_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
-    from openvox.cli import INTERRUPTED, commands, main
+    from openvox.cli import INTERRUPTED, main
 
     def interrupted(*arguments: object, **options: object) -> None:
         try:

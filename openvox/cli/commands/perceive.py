@@ -1,0 +1,100 @@
+"""`openvox perceive`: masks, captions, embeddings."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+from openvox.cli import options, tables
+from openvox.cli.progress import progress
+from openvox.core.errors import OpenvoxError
+
+EXAMPLES = (
+    "openvox perceive living.mcap",
+    "openvox perceive living.mcap --detections my_detector.jsonl",
+    "openvox perceive living.mcap office.mcap --set geometry.min_pixels=600",
+)
+
+
+def perceive(
+    recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings made by ingest.")],
+    frontend: Annotated[
+        Literal["geometry", "oracle"] | None,
+        typer.Option(
+            help="geometry: regions from depth, no model (the default); oracle: the recording's own ground truth."
+        ),
+    ] = None,
+    detections: Annotated[
+        Path | None, typer.Option(metavar="FILE.jsonl", help="Masks and captions of a front end of your own.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
+    assignments: options.Assignments = None,
+    start: options.Start = None,
+    end: options.End = None,
+    stride: options.Stride = 1,
+    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Threads; the result is the same.")] = 1,
+    json: options.Json = False,
+) -> None:
+    """Find masks, captions and embeddings in every frame.
+
+    Once: what an earlier run did on the same frames in the same way is not done again. With several recordings one
+    that fails does not stop the others; then the exit code is 3.
+    """
+    if len(recordings) > 1 and (out or detections):
+        raise typer.BadParameter("--out and --detections belong to one recording; give one")
+    from openvox.apps import perceive as application
+
+    def work(recording: Path) -> Any:
+        return application.perceive(
+            recording,
+            frontend=frontend,
+            detections=detections,
+            out=out,
+            assignments=assignments or [],
+            start=start,
+            end=end,
+            stride=stride,
+            jobs=jobs,
+            progress=progress("perceiving"),
+        )
+
+    if len(recordings) == 1:
+        other: tuple[str | Path, ...] = ("--perception", out) if out else ()
+        tables.show(work(recordings[0]), json, print_result, "openvox", "replay", recordings[0], *other)
+        return
+    results = [_attempt(recording, work) for recording in recordings]
+    tables.show({"recordings": results}, json, print_several)
+    if any("error" in result for result in results):
+        raise typer.Exit(3)
+
+
+def _attempt(recording: Path, work: Callable[[Path], Any]) -> dict[str, Any]:
+    try:
+        return {"recording": str(recording), **tables.plain(work(recording))}
+    except OpenvoxError as error:
+        return {"recording": str(recording), "error": str(error)}
+
+
+def print_result(data: tables.Data) -> None:
+    """What was found, and what was there already."""
+    kinds = ", ".join(f"{count} {kind}s" for kind, count in data["kinds"].items())
+    again = f", {data['reused']} of them from an earlier run" if data["reused"] else ""
+    print(
+        f"{data['frames']} frames looked at{again}, {data['masks']} masks ({kinds or 'none'}), "
+        f"{data['seconds']:.1f} s, captions encoded by {data['encoder']}"
+    )
+    tables.notes(data)
+    tables.wrote(data["output"])
+
+
+def print_several(data: tables.Data) -> None:
+    """The same for each of several recordings, or why one failed."""
+    for result in data["recordings"]:
+        if "error" in result:
+            print(f"openvox: {result['error']}", file=sys.stderr)
+        else:
+            print_result(result)

@@ -1,0 +1,81 @@
+"""`openvox replay`: the map and its trace."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from openvox.cli import options, tables
+from openvox.cli.progress import progress
+
+EXAMPLES = (
+    "openvox replay living.mcap --rerun living.rrd",
+    "openvox replay living.mcap --set map.voxel_size=0.05 --out coarse",
+)
+
+
+def replay(
+    recording: options.Recording,
+    perception: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
+    preset: Annotated[
+        Literal["openvox", "paper"], typer.Option(help="openvox: with the added rules; paper: the plain method.")
+    ] = "openvox",
+    params: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
+    ] = None,
+    assignments: options.Assignments = None,
+    engine: Annotated[Literal["cpu"], typer.Option(help="What computes; every engine gives the same bytes.")] = "cpu",
+    out: Annotated[
+        str | None, typer.Option(metavar="STEM", help="Write STEM.map.npz and STEM.trace.mcap instead.")
+    ] = None,
+    rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
+    start: options.Start = None,
+    end: options.End = None,
+    stride: options.Stride = 1,
+    json: options.Json = False,
+) -> None:
+    """Build the instance map, and a trace of every decision.
+
+    No model runs here, so other parameters take seconds. The same input gives the same bytes.
+    """
+    from openvox.apps import replay as application
+
+    result = application.replay(
+        recording,
+        perception=perception,
+        preset_name=preset,
+        params=params,
+        assignments=assignments or [],
+        engine=engine,
+        out=out,
+        rerun=rerun,
+        start=start,
+        end=end,
+        stride=stride,
+        progress=progress("mapping"),
+        notice=lambda text: typer.echo(text, err=True),
+    )
+    tables.show(result, json, print_result, "openvox", "query", result["outputs"]["map"], "somewhere to sit")
+
+
+def print_result(data: tables.Data) -> None:
+    """Speed, size, what decided, digests, files."""
+    print(
+        f"{data['frames']} frames in {data['seconds']:.2f} s ({data['frames_per_second']:.1f} a second), "
+        f"preset {data['preset']}, engine {data['engine']}"
+    )
+    if data["looked"] < data["frames"]:
+        print(f"perception looked at {data['looked']} of them; the others changed nothing")
+    print(f"{data['voxels']} voxels, {data['instances']} instances")
+    tables.print_table(
+        ["ms", "mean", "median", "p95"],
+        [[stage, *(figures[name] for name in ("mean", "median", "p95"))] for stage, figures in data["ms"].items()],
+    )
+    print("decisions  " + tables.cell(data["decisions"]))
+    for name, digest in data["digests"].items():
+        print(f"{name} digest {digest}")
+    for path in data["outputs"].values():
+        if path:
+            tables.wrote(path, path in data["replaced"])
