@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from openvox.apps.loop import Observer, run
+from openvox.apps.resume import beginning, chain_state
 from openvox.core.digest import frame_digest, map_digest
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters, preset
@@ -44,6 +45,7 @@ def replay(
     assignments: Sequence[str] = (),
     engine: str = "cpu",
     out: str | None = None,
+    resume: Path | None = None,
     rerun: Path | None = None,
     start: int | None = None,
     end: int | None = None,
@@ -53,15 +55,17 @@ def replay(
 ) -> dict[str, Any]:
     """Map a recording and write STEM.map.npz and STEM.trace.mcap; the contract's fields of `replay --json`.
 
-    perception: instead of STEM.perception.mcap. out: another STEM. notice: told what takes long. Raises InputError,
-    OutputError."""
+    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. notice: told what takes
+    long. Raises InputError, OutputError."""
     parameters = chosen_parameters(preset_name, params, assignments)
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
     stem = Path(out) if out else recording.with_suffix("")
     map_path, trace_path = Path(f"{stem}{MAP_SUFFIX}"), Path(f"{stem}{TRACE_SUFFIX}")
     outputs = [map_path, trace_path, *([rerun] if rerun else [])]
-    _check_outputs([recording, found.path], outputs)
+    _check_outputs([recording, found.path, *([resume] if resume else [])], outputs)
+    earlier = beginning(resume, preset_name, parameters, found, source)
+    start = earlier.first_frame(start, stride)
     replaced = [str(path) for path in outputs if path.exists()]
     warm_up(parameters, notice)
     begin = time.perf_counter()
@@ -71,9 +75,11 @@ def replay(
         name: (_relative(info.path, trace_path), info.digest)
         for name, info in (("recording", source), ("perception", found))
     }
-    mapper = Mapper(parameters, watch)
+    mapper = Mapper.resumed(earlier.map, parameters, watch) if earlier.map else Mapper(parameters, watch)
     with ExitStack() as stack:
-        trace = stack.enter_context(TraceWriter(trace_path, {**about, "sources": sources}))
+        trace = stack.enter_context(
+            TraceWriter(trace_path, {**about, "sources": sources, **earlier.said}, earlier.chain)
+        )
         observers: list[Observer] = [trace, counter]
         if rerun is not None:
             from openvox.view.rerun_observer import RerunObserver
@@ -94,7 +100,12 @@ def replay(
             observer.close(result)
     # last, so that a map never stands beside a trace that could not be completed
     digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
-    write_map(map_path, replace(result, meta=_meta(about, found, sources, digests, counter.frames)))
+    meta = {
+        **_meta(about, found, sources, digests, earlier.frames + counter.frames),
+        "last": counter.last,
+        **earlier.said,
+    }
+    write_map(map_path, replace(result, meta=meta, state={**result.state, **chain_state(trace.digest)}))
     seconds = time.perf_counter() - begin
     watch.times["trace"] = [1000 * value for value in trace.seconds]
     return {
@@ -167,12 +178,14 @@ class Counting:
     def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
         self._progress, self._total = progress, total
         self.frames = self.looked = 0
+        self.last = -1
         self.rules: Counter[str] = Counter()
 
     def on_step(self, step: Step) -> None:
         """One frame more."""
         self.frames += 1
         self.looked += step.looked
+        self.last = step.frame.index
         self.rules.update(decision.by for decision in step.decisions)
         if self._progress:
             self._progress(self.frames, self._total)

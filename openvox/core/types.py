@@ -306,6 +306,7 @@ class VoxelChanges:
     """What one frame changed in the voxels; enough to rebuild every voxel's votes after any frame.
 
     Voxels are numbered from 0 in the order of their first vote (within a frame by x, then y, then z).
+    The first step of a resumed run tells the whole map, as if it had made it.
     """
 
     first_new: int

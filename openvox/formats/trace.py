@@ -67,16 +67,17 @@ def decision_link(previous: str, step: Step) -> str:
 class TraceWriter:
     """An observer that writes the trace in a thread of its own, complete or not at all; a context manager.
 
-    run: what the trace says of its run. `digest` is whole after `close`."""
+    run: what the trace says of its run. digest: the link to go on from, where a run is resumed. `digest` is whole
+    after `close`."""
 
-    def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, run: Mapping[str, Any], digest: str = START) -> None:
         self.path = path
         self._run = run
         self._file = McapWriter(path)
         self._steps: queue.Queue[Step | None] = queue.Queue(_WAITING)
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="trace", daemon=True)
-        self.digest = START
+        self.digest = digest
         self.frames = 0
         self._last = (0, 0)
         self.seconds: list[float] = []

@@ -51,10 +51,12 @@ class Mapper:
         self._life = Life(parameters.finish)
         self._looked = 0
         self._dimensions: int | None = None
+        self._untold = False  # voxels of an earlier run, which no step has told yet
 
     def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
         """Associate the frame's masks with the map before it, then let the map evolve.
 
+        The first step of a resumed mapper tells the whole map as its changes, so that observers begin with all of it.
         masks: None if perception did not look at this frame (nothing changes), () if it looked and found nothing.
         Raises InputError if the frame leaves the map's range or a mask does not fit the colour picture."""
         if masks is None:
@@ -111,9 +113,11 @@ class Mapper:
             mapper._looked, mapper._dimensions = state.restore_life(mapper._life, earlier.state)
             mapper._fragments = state.restored_fragments(earlier.state)
             keys = earlier.state["key"]
+            _check_state(earlier, keys, len(mapper._fragments))
             number = np.argsort(keys)[np.searchsorted(np.sort(keys), voxel_key(earlier.voxel_index.astype(np.int64)))]
             row = np.repeat(number, np.diff(earlier.vote_offset)).astype(np.int32)
             mapper._engine.restore(keys, row, earlier.vote_fragment, earlier.vote_count)
+            mapper._untold = True
             state.restore_evidence(mapper._evidence, earlier.state, mapper._fragments)
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise InputError(f"the map holds no state to resume from ({error}); replay from the beginning") from None
@@ -293,8 +297,18 @@ class Mapper:
         events: tuple[Event, ...],
         changes: VoxelChanges,
     ) -> Step:
+        if self._untold:
+            changes, self._untold = self._engine.whole(), False
         instance_of = MappingProxyType(dict(self._evidence.instance_of))
         return Step(frame, masks, looked, decisions, events, changes, instance_of, self._engine.voxels)
+
+
+def _check_state(earlier: InstanceMap, keys: NDArray[np.int64], fragments: int) -> None:
+    """Raises ValueError where the state is not that of the map's votes."""
+    if not np.isin(voxel_key(earlier.voxel_index.astype(np.int64)), keys).all():
+        raise ValueError("its voxels are not those of the map")
+    if earlier.vote_fragment.max(initial=0) > fragments:
+        raise ValueError("it knows fewer fragments than the votes")
 
 
 def _no_changes(voxels: int) -> VoxelChanges:

@@ -13,6 +13,7 @@ from openvox.cli.progress import progress
 EXAMPLES = (
     "openvox replay living.mcap --rerun living.rrd",
     "openvox replay living.mcap --set map.voxel_size=0.05 --out coarse",
+    "openvox replay evening.mcap --resume morning.map.npz",
 )
 
 
@@ -29,6 +30,10 @@ def replay(
     engine: Annotated[Literal["cpu"], typer.Option(help="What computes; every engine gives the same bytes.")] = "cpu",
     out: Annotated[
         str | None, typer.Option(metavar="STEM", help="Write STEM.map.npz and STEM.trace.mcap instead.")
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(metavar="MAP", help="Go on where this map stopped: the rest of its recording, or a second visit."),
     ] = None,
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
     start: options.Start = None,
@@ -50,6 +55,7 @@ def replay(
         assignments=assignments or [],
         engine=engine,
         out=out,
+        resume=resume,
         rerun=rerun,
         start=start,
         end=end,

@@ -273,6 +273,16 @@ class CpuEngine:
         row, fragment, count = votes.all_votes(rows, self._heads, self._backgrounds, *self._lists, slots)
         return self._keys[:rows].copy(), row, fragment, count
 
+    def whole(self) -> VoxelChanges:
+        """All voxels and votes, as one step would tell them that made them all."""
+        keys, row, fragment, count = self.votes()
+        order = np.lexsort((fragment, row))
+        rows = np.arange(len(keys), dtype=np.int32)
+        owner, share = votes.owners(rows, self._heads, self._backgrounds, *self._lists)
+        return VoxelChanges(
+            0, projection.voxel_index(keys), row[order], fragment[order], count[order], rows, owner, share
+        )
+
     def restore(self, keys: Longs, row: Ints, fragment: Ints, count: Ints) -> None:
         """Fill an empty engine with voxels by number and their votes, as `votes` gives them."""
         n, size = len(keys), len(self._table)
