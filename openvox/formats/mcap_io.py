@@ -37,12 +37,13 @@ CHUNK_BYTES = 1 << 20
 CHUNK_NS = 1_000_000_000
 MAX_RECORD = 1 << 28
 """Bytes that a record may have, compressed or not: a length beyond it is damage, not data."""
+CURE = "copy it anew, make it again from its source, or save what is whole with openvox recover"
 
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
-_MESSAGE = struct.Struct("<HIQQ")
+RECORD = struct.Struct("<BQ")
+CHUNK = struct.Struct("<QQQII")
+MESSAGE = struct.Struct("<HIQQ")
 _FOOTER = struct.Struct("<BQQQI")
-_BROKEN = (McapError, zstandard.ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError)
+BROKEN = (McapError, zstandard.ZstdError, struct.error, UnicodeDecodeError, OverflowError, MemoryError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +110,14 @@ class McapWriter:
         if not self._chunk_bytes:
             self._chunk_start = log_time
         self._writer.add_message(self._channel(topic), log_time, data, log_time, sequence)
-        self._chunk_bytes += _RECORD.size + _MESSAGE.size + len(data)
+        self._chunk_bytes += RECORD.size + MESSAGE.size + len(data)
         if self._chunk_bytes >= CHUNK_BYTES:
             self._close_chunk()
 
     def metadata(self, name: str, record: Mapping[str, str]) -> None:
         """A record of names and texts, sealed with a checksum of its own: MCAP gives metadata none."""
         self._close_chunk()
-        self._writer.add_metadata(name, {**record, "check": _checksum(record)})
+        self._writer.add_metadata(name, {**record, "check": checksum(record)})
 
     def _channel(self, topic: Topic) -> int:
         if topic.name not in self._channels:
@@ -143,22 +144,27 @@ def read_metadata(path: Path, name: str, *, newest: int) -> dict[str, str]:
         opcode, content = next(iter(records), (0, b""))
         if opcode != Opcode.METADATA:
             raise _damage(path, offset, "no metadata record stands where the summary says")
-        record = cast(Metadata, Metadata.read(_stream(content))).metadata
+        record = cast(Metadata, Metadata.read(stream(content))).metadata
     version = record.get("format_version", "")
     if not version.isdecimal() or int(version) > newest:
         raise InputError(
             f"{path} has format version {version or 'none'} of {name}; this openvox reads up to {newest}: "
             "use a newer openvox"
         )
-    if record.pop("check", "") != _checksum(record):
+    if record.pop("check", "") != checksum(record):
         raise _damage(path, offset, f"the checksum of metadata {name} is wrong")
     return record
 
 
 def read_topics(path: Path) -> dict[str, Topic]:
     """The topics of a complete file by name, from its summary. Raises InputError."""
+    return {topic.name: topic for topic in read_channels(path).values()}
+
+
+def read_channels(path: Path) -> Mapping[int, Topic]:
+    """The topics of a complete file by the number of their channel, from its summary. Raises InputError."""
     with _opened(path) as file:
-        return {topic.name: topic for topic in _summary(path, file).topics.values()}
+        return _summary(path, file).topics
 
 
 def read_messages(path: Path, topics: Collection[str], *, from_sequence: int = 0) -> Iterator[Message]:
@@ -214,15 +220,15 @@ class _Records:
             self._next = len(MAGIC)
         while self._next < self._end:
             self.offset, self.crc_before = self._next, self.crc
-            head = self._file.read(_RECORD.size)
-            opcode, length = _RECORD.unpack(head)
-            if length > min(MAX_RECORD, self._end - self.offset - _RECORD.size):
+            head = self._file.read(RECORD.size)
+            opcode, length = RECORD.unpack(head)
+            if length > min(MAX_RECORD, self._end - self.offset - RECORD.size):
                 raise _damage(self.path, self.offset, f"a record of {length} bytes cannot be")
             content = self._file.read(length)
             if len(content) != length:
                 raise _damage(self.path, self.offset, "the file ends within a record")
             self.crc = zlib.crc32(content, zlib.crc32(head, self.crc))
-            self._next = self.offset + _RECORD.size + length
+            self._next = self.offset + RECORD.size + length
             yield opcode, content
 
 
@@ -230,20 +236,21 @@ class _Records:
 def _opened(path: Path) -> Iterator[BinaryIO]:
     """The file, and everything that reading broken bytes can raise as one InputError."""
     if path.suffix == ".partial":
-        raise InputError(f"{path} is unfinished (being written, or left by a crash): make it again from its source")
+        raise InputError(
+            f"{path} is unfinished (being written, or left by a crash): make it again from its source, or save what is "
+            "whole with openvox recover"
+        )
     try:
         with path.open("rb") as file:
             yield file
-    except _BROKEN as error:
-        raise InputError(
-            f"{path} is damaged ({type(error).__name__}: {error}): copy it anew, or make it again from its source"
-        ) from error
+    except BROKEN as error:
+        raise InputError(f"{path} is damaged ({type(error).__name__}: {error}): {CURE}") from error
     except OSError as error:
         raise InputError(f"{path} could not be read: {error.strerror or error}") from error
 
 
 def _damage(path: Path, offset: int, what: str) -> InputError:
-    return InputError(f"{path} is damaged at byte {offset}: {what}; copy it anew, or make it again from its source")
+    return InputError(f"{path} is damaged at byte {offset}: {what}; {CURE}")
 
 
 def _summary(path: Path, file: BinaryIO) -> _Summary:
@@ -256,9 +263,9 @@ def _summary(path: Path, file: BinaryIO) -> _Summary:
     file.seek(max(footer_at, 0))
     tail = file.read()
     if footer_at < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC:
-        raise InputError(f"{path} is cut off: its end is missing; copy it anew, or make it again from its source")
+        raise InputError(f"{path} is cut off: its end is missing; {CURE}")
     opcode, length, start, _, expected = _FOOTER.unpack_from(tail)
-    if opcode != Opcode.FOOTER or length != _FOOTER.size - _RECORD.size or not len(MAGIC) <= start <= footer_at:
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - RECORD.size or not len(MAGIC) <= start <= footer_at:
         raise _damage(path, footer_at, "the footer is wrong")
     records = _Records(path, file, start, footer_at)
     schemas: dict[int, Schema] = {}
@@ -266,25 +273,26 @@ def _summary(path: Path, file: BinaryIO) -> _Summary:
     chunks, metadata = array("Q"), dict[str, int]()
     for opcode, content in records:
         if opcode == Opcode.SCHEMA:
-            schema = Schema.read(_stream(content))
+            schema = Schema.read(stream(content))
             schemas[schema.id] = schema
         elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(_stream(content))
+            channel = Channel.read(stream(content))
             channels[channel.id] = channel
         elif opcode == Opcode.CHUNK_INDEX:
-            chunks.append(ChunkIndex.read(_stream(content)).chunk_start_offset)
+            chunks.append(ChunkIndex.read(stream(content)).chunk_start_offset)
         elif opcode == Opcode.METADATA_INDEX:
-            index = MetadataIndex.read(_stream(content))
+            index = MetadataIndex.read(stream(content))
             metadata[index.name] = index.offset
     # The CRC also covers the footer up to the CRC itself.
     if zlib.crc32(tail[: _FOOTER.size - 4], records.crc) != expected:
         raise _damage(path, start, "the CRC of the summary is wrong")
     return _Summary(
-        {number: _topic(path, channel, schemas) for number, channel in channels.items()}, chunks, metadata, start
+        {number: topic_of(path, channel, schemas) for number, channel in channels.items()}, chunks, metadata, start
     )
 
 
-def _topic(path: Path, channel: Channel, schemas: Mapping[int, Schema]) -> Topic:
+def topic_of(path: Path, channel: Channel, schemas: Mapping[int, Schema]) -> Topic:
+    """The topic of a channel record."""
     schema = schemas.get(channel.schema_id)
     if schema is None:
         return Topic(channel.topic, channel.message_encoding, "", "", b"")
@@ -293,26 +301,34 @@ def _topic(path: Path, channel: Channel, schemas: Mapping[int, Schema]) -> Topic
 
 def _chunk_messages(path: Path, offset: int, content: bytes, names: Mapping[int, str]) -> Iterator[Message]:
     """The messages of a chunk record, after its CRC was found right."""
+    for opcode, body in chunk_records(path, offset, content):
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_time, _ = MESSAGE.unpack_from(body)
+            if channel not in names:
+                raise _damage(path, offset, f"a message is of channel {channel}, which the summary lacks")
+            yield Message(names[channel], sequence, log_time, body[MESSAGE.size :])
+
+
+def chunk_records(path: Path, offset: int, content: bytes) -> Iterator[tuple[int, memoryview]]:
+    """The records inside of a chunk record, as (opcode, content), after its CRC was found right.
+
+    Raises InputError or one of BROKEN."""
     data = memoryview(_chunk_data(path, offset, content))
     at = 0
     while at < len(data):
-        opcode, length = _RECORD.unpack_from(data, at)
-        body = data[at + _RECORD.size : at + _RECORD.size + length]
+        opcode, length = RECORD.unpack_from(data, at)
+        body = data[at + RECORD.size : at + RECORD.size + length]
         if len(body) != length:
             raise _damage(path, offset, "a record reaches beyond its chunk")
-        at += _RECORD.size + length
-        if opcode == Opcode.MESSAGE:
-            channel, sequence, log_time, _ = _MESSAGE.unpack_from(body)
-            if channel not in names:
-                raise _damage(path, offset, f"a message is of channel {channel}, which the summary lacks")
-            yield Message(names[channel], sequence, log_time, body[_MESSAGE.size :])
+        at += RECORD.size + length
+        yield opcode, body
 
 
 def _chunk_data(path: Path, offset: int, content: bytes) -> bytes:
     """Unpacked bytes of a chunk record, no more of them than it states."""
-    _, _, size, crc, name_length = _CHUNK.unpack_from(content)
-    at = _CHUNK.size + name_length
-    compression = content[_CHUNK.size : at]
+    _, _, size, crc, name_length = CHUNK.unpack_from(content)
+    at = CHUNK.size + name_length
+    compression = content[CHUNK.size : at]
     (length,) = struct.unpack_from("<Q", content, at)
     packed = memoryview(content)[at + 8 :]
     if length != len(packed) or size > MAX_RECORD:
@@ -340,21 +356,23 @@ def _chunk_before(path: Path, file: BinaryIO, summary: _Summary, sequence: int) 
 def _first_sequence(path: Path, file: BinaryIO, summary: _Summary, offset: int) -> int:
     """Sequence of a chunk's first message, without unpacking what follows."""
     content = next((content for opcode, content in _Records(path, file, offset, summary.data_end)), b"")
-    named = _CHUNK.unpack_from(content)[4]
-    packed = io.BytesIO(content[_CHUNK.size + named + 8 :])
+    named = CHUNK.unpack_from(content)[4]
+    packed = io.BytesIO(content[CHUNK.size + named + 8 :])
     with closing(zstandard.ZstdDecompressor().stream_reader(packed) if named else packed) as data:
         while True:
-            opcode, length = _RECORD.unpack(data.read(_RECORD.size))
+            opcode, length = RECORD.unpack(data.read(RECORD.size))
             if opcode == Opcode.MESSAGE:
-                return int(_MESSAGE.unpack(data.read(_MESSAGE.size))[1])
+                return int(MESSAGE.unpack(data.read(MESSAGE.size))[1])
             if length > MAX_RECORD:
                 raise _damage(path, offset, f"a record of {length} bytes cannot be")
             data.read(length)
 
 
-def _stream(content: bytes) -> ReadDataStream:
+def stream(content: bytes) -> ReadDataStream:
+    """What the library's records are parsed from."""
     return ReadDataStream(io.BytesIO(content))
 
 
-def _checksum(record: Mapping[str, str]) -> str:
+def checksum(record: Mapping[str, str]) -> str:
+    """That of a metadata record, which keeps it as `check`."""
     return hashlib.sha256(canonical_json(dict(record))).hexdigest()

@@ -37,6 +37,8 @@ from openvox.formats.recording import RecordingInfo
 
 FORMAT_VERSION = 1
 METADATA = "openvox.perception"
+BEGIN_METADATA = f"{METADATA}.begin"
+"""What is known before the first frame; all that an unfinished file has."""
 SUFFIX = ".perception.mcap"
 
 
@@ -84,8 +86,8 @@ class FrameMasks:
 class PerceptionWriter:
     """Writes a perception file, complete or not at all; a context manager. The same frames give the same bytes.
 
-    stages: of each role, name, parameters and model_digest. `frames`: added so far. Raises OutputError if the file
-    cannot be written.
+    stages: of each role, name, parameters and model_digest. `frames`, `digest`: of those added so far. Raises
+    OutputError if the file cannot be written.
     """
 
     def __init__(
@@ -97,8 +99,7 @@ class PerceptionWriter:
         encoder: str,
         dimensions: int,
     ) -> None:
-        self.path = path
-        self._begin = {
+        begin = {
             "format_version": str(FORMAT_VERSION),
             "openvox_version": __version__,
             "recording": Path(os.path.relpath(recording.path.resolve(), path.parent.resolve())).as_posix(),
@@ -107,30 +108,47 @@ class PerceptionWriter:
             "dimensions": str(dimensions),
             "stages": _json(list(stages)),
         }
-        self._encoder, self._dimensions = encoder, dimensions
+        self._open(path, begin, encoder, dimensions)
+
+    @classmethod
+    def going_on(cls, path: Path, begin: Mapping[str, str]) -> Self:
+        """A writer of the same frames again, as `openvox.perception.begin` describes them. Raises InputError."""
+        writer = cls.__new__(cls)
+        try:
+            writer._open(path, dict(begin), begin["encoder"], int(begin["dimensions"]))
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{path}: its metadata {BEGIN_METADATA} cannot be read ({error!r})") from error
+        return writer
+
+    def _open(self, path: Path, begin: dict[str, str], encoder: str, dimensions: int) -> None:
+        self.path, self._begin = path, begin
+        self._encoder, self.dimensions = encoder, dimensions
         self._file = McapWriter(path, resumable=True)
         self.frames = self._masks = 0
         self._kinds: Counter[str] = Counter()
-        self._digest = START
+        self.digest = START
 
     def __enter__(self) -> Self:
-        self._file.__enter__()
+        with ExitStack() as stack:
+            stack.enter_context(self._file)
+            self._file.metadata(BEGIN_METADATA, self._begin)
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with ExitStack() as stack:
-            stack.push(self._file.__exit__)
+            stack.push(self._stack.__exit__)
             if error is not None:
                 raise error
             counts = {name: self._kinds[name] for name in MASK_KINDS if self._kinds[name]}
             numbers = {"frames": str(self.frames), "masks": str(self._masks), "kinds": _json(counts)}
-            self._file.metadata(METADATA, {**self._begin, **numbers, "digest": self._digest})
+            self._file.metadata(METADATA, {**self._begin, **numbers, "digest": self.digest})
 
     def add(self, found: FrameMasks) -> None:
         """The next frame that was looked at; frame numbers rise, and every mask has its embedding."""
-        vectors = np.zeros((len(found.masks), self._dimensions), np.float32)
+        vectors = np.zeros((len(found.masks), self.dimensions), np.float32)
         for row, mask in zip(vectors, found.masks, strict=True):
             assert mask.embedding is not None, f"frame {found.index}: a mask without embedding"
             row[:] = mask.embedding
@@ -142,7 +160,7 @@ class PerceptionWriter:
             (schemas.ANNOTATIONS, schemas.encode_annotations(stamp, found.masks)),
         ):
             self._file.add(topic, found.index, stamp, data)
-        self._digest = chain(self._digest, *_content(found), np.ascontiguousarray(vectors, "<f4").tobytes())
+        self.digest = chain(self.digest, *_content(found), np.ascontiguousarray(vectors, "<f4").tobytes())
         self.frames, self._masks = self.frames + 1, self._masks + len(found.masks)
         self._kinds.update(mask.kind for mask in found.masks)
 
@@ -200,19 +218,22 @@ def read_masks(
     for found in _frames(path, read_messages(path, topics, from_sequence=start or 0), len(topics)):
         if end is not None and found.index >= end:
             return
-        if any(mask.embedding is None or len(mask.embedding) != info.dimensions for mask in found.masks):
-            raise InputError(
-                f"{path}, frame {found.index}: a vector has not {info.dimensions} numbers; run perceive again"
-            )
-        for m, mask in enumerate(found.masks):
-            if not abs(float(np.linalg.norm(mask.embedding)) - 1) < 1e-3:  # type: ignore[arg-type]  # NaN fails, too
-                raise InputError(
-                    f"{path}, frame {found.index}, mask {m}: its embedding is not of unit length; run perceive again"
-                )
+        _check_embeddings(path, found, info.dimensions)
         yield found
         count += 1
     if start is None and count != info.frames:
         raise InputError(f"{path} holds {count} frames, its metadata say {info.frames}; run perceive again")
+
+
+def _check_embeddings(path: Path, found: FrameMasks, dimensions: int) -> None:
+    """Every mask has one of so many numbers and of unit length."""
+    if any(mask.embedding is None or len(mask.embedding) != dimensions for mask in found.masks):
+        raise InputError(f"{path}, frame {found.index}: a vector has not {dimensions} numbers; run perceive again")
+    for m, mask in enumerate(found.masks):
+        if not abs(float(np.linalg.norm(mask.embedding)) - 1) < 1e-3:  # type: ignore[arg-type]  # NaN fails, too
+            raise InputError(
+                f"{path}, frame {found.index}, mask {m}: its embedding is not of unit length; run perceive again"
+            )
 
 
 def interrupted(path: Path) -> Path | None:
@@ -257,6 +278,13 @@ def _frames(path: Path, messages: Iterable[Message], wanted: int) -> Iterator[Fr
             group, last = {}, last + 1
     if group:
         raise InputError(f"{path}: the last frame lacks messages; run perceive again")
+
+
+def frame_of(path: Path, messages: Mapping[str, Message], dimensions: int) -> FrameMasks:
+    """A frame of its messages by topic, its embeddings checked. Raises InputError."""
+    found = _frame(path, messages)
+    _check_embeddings(path, found, dimensions)
+    return found
 
 
 def _frame(path: Path, messages: Mapping[str, Message]) -> FrameMasks:

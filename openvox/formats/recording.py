@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from openvox.core.types import Frame, Rig
 from openvox.formats import schemas
 from openvox.formats.ahead import read_ahead
 from openvox.formats.frames import NEEDED, check_color, decode_frame, encode_frame
-from openvox.formats.mcap_io import McapWriter, Message, read_messages, read_metadata, read_topics
+from openvox.formats.mcap_io import McapWriter, Message, Topic, read_messages, read_metadata, read_topics
 
 FORMAT_VERSION = 1
 METADATA = "openvox.recording"
@@ -89,7 +89,8 @@ class RecordingWriter:
             **(extra or {}),
         }
         self._file = McapWriter(path)
-        self._digest = START
+        self.digest = START
+        """Of the frames added so far."""
         self._frames, self._path_length = 0, 0.0
         self._first: Frame | None = None
         self._last: Frame | None = None
@@ -113,12 +114,12 @@ class RecordingWriter:
         with self._stack:
             self._finish()
 
-    def add(self, frame: Frame) -> None:
-        """The next frame: number and stamp must rise."""
+    def add(self, frame: Frame, others: Iterable[tuple[Topic, bytes]] = ()) -> None:
+        """The next frame: number and stamp must rise. others: its messages on further topics."""
         self._check(frame)
-        for topic, data in encode_frame(frame):
+        for topic, data in (*encode_frame(frame), *others):
             self._file.add(topic, frame.index, frame.stamp_ns, data)
-        self._digest = recording_link(self._digest, frame_digest(frame), frame)
+        self.digest = recording_link(self.digest, frame_digest(frame), frame)
         if self._last is not None:
             here, there = frame.world_from_depth.translation, self._last.world_from_depth.translation
             self._path_length += math.dist(here, there)
@@ -171,7 +172,7 @@ class RecordingWriter:
             "has_color": _json(self._has_color),
             "has_truth": _json(self._has_truth),
             "dropped": _json({reason: numbers.summary() for reason, numbers in sorted(self._dropped.items())}),
-            "digest": self._digest,
+            "digest": self.digest,
         }
         self._file.metadata(METADATA, self._begin | record)
 

@@ -10,7 +10,8 @@ import json
 import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +30,8 @@ from openvox.formats.mcap_io import McapWriter, Message, read_messages, read_met
 
 FORMAT_VERSION = 1
 METADATA = "openvox.trace"
+BEGIN_METADATA = f"{METADATA}.begin"
+"""What is known before the first frame; all that an unfinished file has."""
 SUFFIX = ".trace.mcap"
 _WAITING = 16
 
@@ -58,10 +61,11 @@ class TraceFrame:
     changes: schemas.VotesChanged
 
 
-def decision_link(previous: str, step: Step) -> str:
-    """The next link of the trace digest: over canonical JSON of the frame's decisions, integers and rule names only."""
-    content = {"frame": step.frame.index, "decisions": [asdict(decision) for decision in step.decisions]}
-    return chain(previous, canonical_json(content))
+def decision_link(previous: str, frame: int, decisions: Sequence[Mapping[str, Any]]) -> str:
+    """The next link of the trace digest: over canonical JSON of the frame's decisions, integers and rule names only.
+
+    decisions: fields of core.types.Decision."""
+    return chain(previous, canonical_json({"frame": frame, "decisions": decisions}))
 
 
 class TraceWriter:
@@ -72,7 +76,11 @@ class TraceWriter:
 
     def __init__(self, path: Path, run: Mapping[str, Any], digest: str = START) -> None:
         self.path = path
-        self._run = run
+        self._begin = {
+            "format_version": str(FORMAT_VERSION),
+            "openvox_version": __version__,
+            "run": json.dumps(run, sort_keys=True),
+        }
         self._file = McapWriter(path)
         self._steps: queue.Queue[Step | None] = queue.Queue(_WAITING)
         self._failure: BaseException | None = None
@@ -84,7 +92,10 @@ class TraceWriter:
         """Time that each frame took to encode and write."""
 
     def __enter__(self) -> Self:
-        self._file.__enter__()
+        with ExitStack() as stack:
+            stack.enter_context(self._file)
+            self._file.metadata(BEGIN_METADATA, self._begin)
+            self._stack = stack.pop_all()
         self._thread.start()
         return self
 
@@ -92,7 +103,7 @@ class TraceWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop()
-        self._file.__exit__(kind, error, trace)
+        self._stack.__exit__(kind, error, trace)
 
     def on_step(self, step: Step) -> None:
         """Hand a step to the thread. Raises what the thread met, OutputError for a full disk."""
@@ -108,14 +119,7 @@ class TraceWriter:
             raise self._failure
         for event in result.events:
             self._file.add(schemas.EVENTS, *self._last, schemas.encode_event(self._last[1], event))
-        record = {
-            "format_version": str(FORMAT_VERSION),
-            "openvox_version": __version__,
-            "frames": str(self.frames),
-            "digest": self.digest,
-            "run": json.dumps(self._run, sort_keys=True),
-        }
-        self._file.metadata(METADATA, record)
+        self._file.metadata(METADATA, {**self._begin, "frames": str(self.frames), "digest": self.digest})
 
     def _stop(self) -> None:
         if self._thread.is_alive():
@@ -132,7 +136,7 @@ class TraceWriter:
 
     def _write(self, step: Step) -> None:
         begin = time.perf_counter()
-        self.digest = decision_link(self.digest, step)
+        self.digest = decision_link(self.digest, step.frame.index, [asdict(one) for one in step.decisions])
         self.frames += 1
         self._last = (step.frame.index, step.frame.stamp_ns)
         number, stamp = step.frame.index, step.frame.stamp_ns
@@ -161,14 +165,15 @@ def read_trace(path: Path, start: int = 0) -> Iterator[TraceFrame]:
         if message.sequence < start:
             continue
         if group and message.sequence != group[0].sequence:
-            yield _frame(path, group)
+            yield frame_of(path, group)
             group = []
         group.append(message)
     if group:
-        yield _frame(path, group)
+        yield frame_of(path, group)
 
 
-def _frame(path: Path, group: list[Message]) -> TraceFrame:
+def frame_of(path: Path, group: Sequence[Message]) -> TraceFrame:
+    """A frame of its messages. Raises InputError."""
     where = f"{path}, frame {group[0].sequence}"
     try:
         by_topic: dict[str, list[memoryview]] = {}
@@ -185,7 +190,7 @@ def _frame(path: Path, group: list[Message]) -> TraceFrame:
             tuple(events),
             changes,
         )
-    except (KeyError, ValueError, TypeError, DecodeError) as error:
+    except (KeyError, ValueError, TypeError, RecursionError, DecodeError) as error:
         raise InputError(f"{where}: the trace cannot be read ({error}); replay again") from None
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from openvox import __version__
-from openvox.cli.commands import evaluate, explain, export, info, ingest, perceive, query, replay
+from openvox.cli.commands import evaluate, explain, export, info, ingest, perceive, query, recover, replay
 
 app = typer.Typer(
     rich_markup_mode=None,  # plain help: quick, and the same text in docs/commands.md
@@ -39,6 +39,7 @@ def _examples(lines: tuple[str, ...]) -> str:
 # In the order of the data's way, which is the order of the help.
 for command, examples in (
     (ingest.ingest, ingest.EXAMPLES),
+    (recover.recover, recover.EXAMPLES),
     (perceive.perceive, perceive.EXAMPLES),
     (replay.replay, replay.EXAMPLES),
     (query.query, query.EXAMPLES),
