@@ -172,6 +172,21 @@ def read_trace(path: Path, start: int = 0) -> Iterator[TraceFrame]:
         yield frame_of(path, group)
 
 
+def read_decisions(path: Path, start: int = 0) -> Iterator[Mapping[str, Any]]:
+    """`frame`, `looked` and `decisions` of every frame from number `start` on: what is read of a trace that only the
+    decisions matter of. Raises InputError."""
+    trace_info(path)
+    for message in read_messages(path, {schemas.DECISIONS.name}, from_sequence=start):
+        try:
+            content = json.loads(bytes(message.data))
+            decisions = tuple(content["decisions"])
+            yield {"frame": message.sequence, "looked": bool(content["looked"]), "decisions": decisions}
+        except (KeyError, ValueError, TypeError) as error:
+            raise InputError(
+                f"{path}, frame {message.sequence}: the trace cannot be read ({error}); replay again"
+            ) from None
+
+
 def frame_of(path: Path, group: Sequence[Message]) -> TraceFrame:
     """A frame of its messages. Raises InputError."""
     where = f"{path}, frame {group[0].sequence}"

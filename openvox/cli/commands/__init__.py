@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from openvox import __version__
-from openvox.cli.commands import evaluate, explain, export, info, ingest, perceive, query, recover, replay
+from openvox.cli.commands import compare, evaluate, explain, export, info, ingest, perceive, query, recover, replay
 
 app = typer.Typer(
     rich_markup_mode=None,  # plain help: quick, and the same text in docs/commands.md
@@ -45,6 +45,7 @@ for command, examples in (
     (query.query, query.EXAMPLES),
     (evaluate.evaluate, evaluate.EXAMPLES),
     (explain.explain, explain.EXAMPLES),
+    (compare.compare, compare.EXAMPLES),
     (export.export, export.EXAMPLES),
     (info.info, info.EXAMPLES),
 ):

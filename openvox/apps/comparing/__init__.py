@@ -1,0 +1,1 @@
+"""What two runs have in common, and where they part: decisions of two traces, instances of two maps."""
