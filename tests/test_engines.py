@@ -1,9 +1,11 @@
-"""The engine is the slow twin, but fast: equal decisions and equal maps, bit for bit."""
+"""Every engine is the slow twin, but fast: equal decisions and equal maps, bit for bit."""
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import naive
@@ -15,12 +17,15 @@ from strategies import World, worlds
 from openvox.apps.ingest import ingest
 from openvox.apps.perceive import perceive
 from openvox.core.digest import map_digest
+from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
-from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Rig
+from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Rig, VoxelChanges
 from openvox.formats.perception import read_masks
 from openvox.formats.recording import read_frames
 from openvox.mapper.mapper import Mapper
 
+NO_TORCH = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs torch; tools/test --torch")
+ENGINES = ["cpu", pytest.param("torch", marks=NO_TORCH)]
 ARRAYS = (
     "voxel_index", "vote_offset", "vote_fragment", "vote_count", "fragment_id", "fragment_instance", "voxel_instance",
     "voxel_confidence", "instance_id", "instance_confidence", "feature", "feature_weight",
@@ -35,8 +40,10 @@ def assert_equal_maps(actual: InstanceMap, expected: InstanceMap) -> None:
     assert map_digest(actual) == map_digest(expected)
 
 
-def assert_engine_is_naive(frames: Iterable[tuple[Frame, Sequence[Mask] | None]], parameters: MapperParameters) -> None:
-    mapper, twin = Mapper(parameters), naive.Twin(parameters)
+def assert_engine_is_naive(
+    frames: Iterable[tuple[Frame, Sequence[Mask] | None]], parameters: MapperParameters, engine: str = "cpu"
+) -> None:
+    mapper, twin = Mapper(parameters, engine=engine), naive.Twin(parameters)
     for frame, masks in frames:
         expected = twin.step(frame, masks)
         assert mapper.step(frame, masks).decisions == expected
@@ -45,8 +52,9 @@ def assert_engine_is_naive(frames: Iterable[tuple[Frame, Sequence[Mask] | None]]
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(world=worlds())
-def test_the_engine_is_naive_but_fast(world: World) -> None:
-    assert_engine_is_naive(world.frames, world.parameters)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_engine_is_naive_but_fast(engine: str, world: World) -> None:
+    assert_engine_is_naive(world.frames, world.parameters, engine)
 
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
@@ -77,18 +85,64 @@ def few_pixels(preset: MapperParameters) -> MapperParameters:
 
 
 @pytest.mark.parametrize("preset", [OPENVOX, PAPER], ids=["openvox", "paper"])
-def test_the_engine_is_naive_on_the_bundled_recording(preset: MapperParameters) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_engine_is_naive_on_the_bundled_recording(preset: MapperParameters, engine: str) -> None:
     frames = read_frames(RECORDINGS / "living_demo.mcap", end=28, truth=False)
     masks = {found.index: found.masks for found in read_masks(RECORDINGS / "living_demo.perception.mcap", end=28)}
-    assert_engine_is_naive((thinned(frame, masks[frame.index], 8) for frame in frames), few_pixels(preset))
+    thin = (thinned(frame, masks[frame.index], 8) for frame in frames)
+    assert_engine_is_naive(thin, few_pixels(preset), engine)
 
 
 @pytest.mark.parametrize("preset", [OPENVOX, PAPER], ids=["openvox", "paper"])
-def test_the_engine_is_naive_with_two_real_cameras(preset: MapperParameters, shared_data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_engine_is_naive_with_two_real_cameras(
+    preset: MapperParameters, engine: str, shared_data: Path, tmp_path: Path
+) -> None:
     recording = tmp_path / "kitchen.mcap"
     ingest(shared_data / "real_kitchen", recording, end=8)
     perceive(recording, frontend="geometry")
     masks = {found.index: found.masks for found in read_masks(tmp_path / "kitchen.perception.mcap")}
     frames = list(read_frames(recording))
     assert not frames[0].rig.registered
-    assert_engine_is_naive((thinned(frame, masks[frame.index], 8) for frame in frames), few_pixels(preset))
+    thin = (thinned(frame, masks[frame.index], 8) for frame in frames)
+    assert_engine_is_naive(thin, few_pixels(preset), engine)
+
+
+@NO_TORCH
+def test_engines_tell_observers_the_same(shared_world: list[tuple[Frame, tuple[Mask, ...]]]) -> None:
+    cpu, torch = (Mapper(OPENVOX, engine=engine) for engine in ("cpu", "torch"))
+    for frame, masks in shared_world:
+        a, b = cpu.step(frame, masks), torch.step(frame, masks)
+        assert a.decisions == b.decisions
+        assert a.events == b.events
+        for field in fields(VoxelChanges):
+            np.testing.assert_array_equal(getattr(a.changes, field.name), getattr(b.changes, field.name))
+
+
+@NO_TORCH
+@pytest.mark.parametrize(("first", "second"), [("cpu", "torch"), ("torch", "cpu")])
+def test_a_run_may_be_resumed_on_another_engine(
+    first: str, second: str, shared_world: list[tuple[Frame, tuple[Mask, ...]]]
+) -> None:
+    whole = Mapper(OPENVOX, engine=first)
+    for frame, masks in shared_world[:6]:
+        whole.step(frame, masks)
+    resumed = Mapper.resumed(whole.finish(), OPENVOX, engine=second)
+    for frame, masks in shared_world[6:]:
+        assert whole.step(frame, masks).decisions == resumed.step(frame, masks).decisions
+    assert_equal_maps(resumed.finish(), whole.finish())
+
+
+@pytest.fixture(scope="module")
+def shared_world() -> list[tuple[Frame, tuple[Mask, ...]]]:
+    """Twelve frames of the bundled recording, every second pixel."""
+    masks = {found.index: found.masks for found in read_masks(RECORDINGS / "living_demo.perception.mcap", end=24)}
+    frames = read_frames(RECORDINGS / "living_demo.mcap", end=24, truth=False)
+    return [thinned(frame, masks[frame.index], 2) for frame in frames]
+
+
+def test_without_torch_its_engine_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "openvox.mapper.engines.torch_kernels", raising=False)
+    with pytest.raises(InputError, match=r'engine torch needs torch, .* pip install "openvox\[torch\]"'):
+        Mapper(OPENVOX, engine="torch")

@@ -29,6 +29,7 @@ from openvox.formats.perception import FrameMasks, PerceptionInfo, perception_in
 from openvox.formats.recording import RecordingInfo, read_frames, recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
+from openvox.mapper.engines.compiled import all_kept
 from openvox.mapper.mapper import Mapper
 
 COMPILES_AFTER = 1.5
@@ -67,7 +68,7 @@ def replay(
     earlier = beginning(resume, preset_name, parameters, found, source)
     start = earlier.first_frame(start, stride)
     replaced = [str(path) for path in outputs if path.exists()]
-    warm_up(parameters, notice)
+    warm_up(parameters, engine, notice)
     begin = time.perf_counter()
     watch, counter = Stopwatch(), Counting(progress, _count(source, start, end, stride))
     about = {"preset": preset_name, "engine": engine, "parameters": as_dict(parameters)}
@@ -75,7 +76,9 @@ def replay(
         name: (_relative(info.path, trace_path), info.digest)
         for name, info in (("recording", source), ("perception", found))
     }
-    mapper = Mapper.resumed(earlier.map, parameters, watch) if earlier.map else Mapper(parameters, watch)
+    mapper = (
+        Mapper.resumed(earlier.map, parameters, watch, engine) if earlier.map else Mapper(parameters, watch, engine)
+    )
     with ExitStack() as stack:
         trace = stack.enter_context(
             TraceWriter(trace_path, {**about, "sources": sources, **earlier.said}, earlier.chain)
@@ -133,7 +136,7 @@ def chosen_parameters(preset_name: str, params: Path | None, assignments: Sequen
     return updated(chosen, {**file, **given}, source=source)
 
 
-def warm_up(parameters: MapperParameters, notice: Callable[[str], None]) -> None:
+def warm_up(parameters: MapperParameters, engine: str, notice: Callable[[str], None]) -> None:
     """Have all kernels compiled, or loaded from the cache, before any time is taken."""
     camera = Intrinsics(16, 16, 16.0, 16.0, 7.5, 7.5)
     both, left = np.zeros((2, 16, 16), np.bool_)
@@ -148,13 +151,15 @@ def warm_up(parameters: MapperParameters, notice: Callable[[str], None]) -> None
     timer = threading.Timer(COMPILES_AFTER, notice, ["compiling the mapper's kernels, once after an installation ..."])
     timer.start()
     try:
-        mapper = Mapper(few)
+        mapper = Mapper(few, engine=engine)
         for number, masks in enumerate((welded, parted, parted)):
             frame = Frame(number, number, Pose.identity(), Rig(camera, camera), np.full((16, 16), 1000, np.uint16))
             mapper.step(frame, masks)
         mapper.finish()
     finally:
         timer.cancel()
+    if not all_kept():
+        notice("there is no folder to keep the compiled kernels in, so every run compiles; set NUMBA_CACHE_DIR to one")
 
 
 class Stopwatch:

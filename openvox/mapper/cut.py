@@ -12,7 +12,7 @@ from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import LifecycleParameters, MapperParameters
 from openvox.core.types import Mask
 from openvox.mapper.associate import Association
-from openvox.mapper.engines.cpu import common_pixels
+from openvox.mapper.engines.engine import common_pixels
 from openvox.mapper.evidence import Evidence
 
 MIN_CUT = 5

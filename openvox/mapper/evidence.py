@@ -8,6 +8,7 @@ Contradictions are summed, so that one weld does not chain through the room.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 
 from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import LifecycleParameters
@@ -36,11 +37,16 @@ class Evidence:
         """Smallest fragment id of each fragment's instance."""
         self.members: dict[int, tuple[int, ...]] = {}
         """Fragments of each instance, ascending."""
+        self._before: dict[int, int] = {}
+        self._new: set[int] = set()
+        self._snapshot: Mapping[int, int] | None = None
 
     def add_fragment(self, f: int) -> None:
         """A fragment of its own."""
         self._component[f] = (f,)
         self.instance_of[f] = f
+        self._new.add(f)
+        self._snapshot = None
         self.members[f] = (f,)
         self._neighbours[f] = set()
 
@@ -83,10 +89,28 @@ class Evidence:
                 done.update(component)
                 self._regroup(component)
 
+    def regrouped(self) -> dict[int, int]:
+        """What changed since this was last asked for: the instance then of every older fragment of each instance that
+        lost or gained one; empty if none did."""
+        moved = {f: old for f, old in self._before.items() if self.instance_of[f] != old and f not in self._new}
+        concerned = {*moved.values(), *(self.instance_of[f] for f in moved)}
+        members = {f for instance in concerned for f in self.members.get(instance, ())} - self._new
+        self._before, self._new = {}, set()
+        return {f: moved.get(f, self.instance_of[f]) for f in sorted(members.union(moved))}
+
+    def snapshot(self) -> Mapping[int, int]:
+        """Instance of every fragment as it is now; made anew only after a change."""
+        if self._snapshot is None:
+            self._snapshot = MappingProxyType(self.instance_of.copy())
+        return self._snapshot
+
     def _regroup(self, component: tuple[int, ...]) -> None:
         groups: dict[int, list[int]] = {}
         for f, instance in cluster(component, self._edges(component)).items():
-            self._component[f], self.instance_of[f] = component, instance
+            self._component[f] = component
+            if self.instance_of[f] != instance:
+                self._before.setdefault(f, self.instance_of[f])
+                self.instance_of[f], self._snapshot = instance, None
             groups.setdefault(instance, []).append(f)
             self.members.pop(f, None)
         self.members.update((instance, tuple(group)) for instance, group in groups.items())

@@ -8,6 +8,7 @@ from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import FinishParameters
 from openvox.core.types import Event
 from openvox.mapper.codebook import Fragment, Memory, memory_of
+from openvox.mapper.evidence import Evidence
 
 
 def exists(memory: Memory, voxels: int, parameters: FinishParameters) -> bool:
@@ -41,34 +42,26 @@ class Life:
         """The last frame that was followed."""
 
     def follow(
-        self,
-        frame: int,
-        before: Mapping[int, int],
-        after: Mapping[int, int],
-        fragments: Mapping[int, Fragment],
-        touched: Iterable[int],
+        self, frame: int, evidence: Evidence, fragments: Mapping[int, Fragment], touched: Iterable[int]
     ) -> list[Event]:
-        """Events of one frame, from the instances of all fragments before and after it. touched: changed fragments."""
+        """Events of one frame, whose clusters `evidence` holds. touched: changed fragments."""
         self.frame = frame
-        events = [] if before == after else self._regrouped(frame, before, after)
-        pending = sorted({after[f] for f in touched} - self.confirmed.keys())
-        if pending:
-            members = members_of(after)
-            for instance in pending:
-                memory = memory_of(fragments[f] for f in members[instance])
-                if exists(memory, memory.voxels, self._parameters):
-                    self.confirmed[instance] = frame
-                    text = f"matched in {memory.matched} of {memory.seen} frames that saw it, {memory.voxels} voxels"
-                    events.append(Event(frame, "confirmed", instance, (), text))
+        events = self._regrouped(frame, evidence)
+        for instance in sorted({evidence.instance_of[f] for f in touched} - self.confirmed.keys()):
+            memory = memory_of(fragments[f] for f in evidence.members[instance])
+            if exists(memory, memory.voxels, self._parameters):
+                self.confirmed[instance] = frame
+                text = f"matched in {memory.matched} of {memory.seen} frames that saw it, {memory.voxels} voxels"
+                events.append(Event(frame, "confirmed", instance, (), text))
         return events
 
-    def _regrouped(self, frame: int, before: Mapping[int, int], after: Mapping[int, int]) -> list[Event]:
-        events = []
+    def _regrouped(self, frame: int, evidence: Evidence) -> list[Event]:
         joined: dict[int, set[int]] = {}
         parted: dict[int, set[int]] = {}
-        for f, old in before.items():
-            joined.setdefault(after[f], set()).add(old)
-            parted.setdefault(old, set()).add(after[f])
+        for f, old in evidence.regrouped().items():
+            joined.setdefault(evidence.instance_of[f], set()).add(old)
+            parted.setdefault(old, set()).add(evidence.instance_of[f])
+        events = []
         for instance in sorted(joined):
             others = sorted(joined[instance] - {instance})
             if len(joined[instance]) > 1 and others:

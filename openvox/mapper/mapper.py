@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Protocol, Self
 
 import numpy as np
@@ -18,7 +17,7 @@ from openvox.mapper import state
 from openvox.mapper.associate import Association, associate_frame
 from openvox.mapper.codebook import NAMELESS, Fragment
 from openvox.mapper.cut import Nesting, count_pairs, cuts
-from openvox.mapper.engines.cpu import CpuEngine, Look, Region
+from openvox.mapper.engines.engine import Engine, Look, Region
 from openvox.mapper.engines.pixels import EMPTY
 from openvox.mapper.equations import FULL_WEIGHT
 from openvox.mapper.evidence import Evidence
@@ -29,7 +28,6 @@ from openvox.mapper.projection import voxel_key
 MIN_SEEN = 4
 """Voxels of a fragment that must be in view for a frame to count as having seen it."""
 Features = Sequence[NDArray[np.int64] | None]
-Moved = tuple[NDArray[np.int32], int, int]
 
 
 class Stopwatch(Protocol):
@@ -42,9 +40,9 @@ class Stopwatch(Protocol):
 class Mapper:
     """The probabilistic voxel map of the OpenVox paper, with the rules that its parameters switch on."""
 
-    def __init__(self, parameters: MapperParameters, stopwatch: Stopwatch | None = None) -> None:
+    def __init__(self, parameters: MapperParameters, stopwatch: Stopwatch | None = None, engine: str = "cpu") -> None:
         self.parameters = parameters
-        self._engine = CpuEngine(parameters)
+        self._engine = Engine(parameters, engine)
         self._watch = stopwatch
         self._fragments: dict[int, Fragment] = {}
         self._evidence = Evidence(parameters.lifecycle)
@@ -75,15 +73,15 @@ class Mapper:
             self._fragments, self._evidence.instance_of, self._evidence.members, self.parameters,
         )  # fmt: skip
         self._lap("evolve")
-        before = dict(self._evidence.instance_of)
         nesting = Nesting(kept, self.parameters.lifecycle.nested)
         events = self._found(frame, masks, associations)
-        look, moved = self._cut(frame, kept, associations, region, look, nesting, events)
+        look, pieces = self._cut(frame, kept, associations, region, look, nesting, events)
         self._count_pairs(kept, associations, nesting)
-        changes, abstained = self._vote(region, look, associations, moved)
+        abstained = self._vote(region, look, associations)
+        changes = self._settle(look)
         self._learn(frame, masks, features, associations, look)
-        touched = self._cluster(associations, moved)
-        events += self._life.follow(frame.index, before, self._evidence.instance_of, self._fragments, touched)
+        touched = self._cluster(associations, pieces)
+        events += self._life.follow(frame.index, self._evidence, self._fragments, touched)
         self._looked += 1
         self._lap("")
         decisions = tuple(self._decision(one, abstained) for one in associations)
@@ -104,11 +102,17 @@ class Mapper:
         return replace(result, state=kept)
 
     @classmethod
-    def resumed(cls, earlier: InstanceMap, parameters: MapperParameters, stopwatch: Stopwatch | None = None) -> Self:
+    def resumed(
+        cls,
+        earlier: InstanceMap,
+        parameters: MapperParameters,
+        stopwatch: Stopwatch | None = None,
+        engine: str = "cpu",
+    ) -> Self:
         """A mapper that goes on where `earlier` stopped; the parameters must be those of its run.
 
         Raises InputError if the map has no state, or one of another version."""
-        mapper = cls(parameters, stopwatch)
+        mapper = cls(parameters, stopwatch, engine)
         try:
             mapper._looked, mapper._dimensions = state.restore_life(mapper._life, earlier.state)
             mapper._fragments = state.restored_fragments(earlier.state)
@@ -170,43 +174,43 @@ class Mapper:
         look: Look,
         nesting: Nesting,
         events: list[Event],
-    ) -> tuple[Look, list[Moved]]:
-        """Move votes of a fragment that lies under two masks to a new fragment under the smaller one."""
-        moved: list[Moved] = []
+    ) -> tuple[Look, list[int]]:
+        """Move votes of a fragment that lies under two masks to a new fragment under the smaller one.
+
+        Returns the map after it, and the fragments that were cut and cut off."""
+        changed: list[int] = []
         if not self.parameters.evolution.cut:
-            return look, moved
+            return look, changed
         inheritance = fixedpoint.millionths(self.parameters.evolution.cut_inheritance)
         for cut in cuts(
             kept, associations, region.voxels_of_mask, look.fragments, look.overlap, nesting, self.parameters
         ):
             piece = self._new_fragment(frame)
             self._fragments[cut.fragment].pass_on(self._fragments[piece])
-            rows, votes = self._engine.move(region, look, cut.mask, cut.fragment, piece)
-            moved.append((rows, cut.fragment, piece))
+            voxels, votes = self._engine.move(region, look, cut.mask, cut.fragment, piece)
+            changed += [cut.fragment, piece]
             one = associations[cut.mask]
             one.held = (one.held - {cut.fragment}) | {piece}
             if one.main == cut.fragment:
                 one.main, one.by = piece, "cut"
                 one.visibility, one.credibility = fixedpoint.Q20, FULL_WEIGHT
-            inherited = inheritance * votes // (fixedpoint.MILLION * max(1, len(rows)))
+            inherited = inheritance * votes // (fixedpoint.MILLION * max(1, voxels))
             self._evidence.add_together(cut.fragment, piece, inherited)
             instance = self._evidence.instance_of[cut.fragment]
-            text = f"it lies under masks {cut.keeper} and {cut.mask}: {len(rows)} voxels go to fragment {piece}"
+            text = f"it lies under masks {cut.keeper} and {cut.mask}: {voxels} voxels go to fragment {piece}"
             events.append(Event(frame.index, "cut", instance, (piece,), text))
-        if moved:
+        if changed:
             owner = look.owner
             look = self._engine.look(region, len(self._fragments))
             look.owner = owner
-        return look, moved
+        return look, changed
 
     def _count_pairs(self, kept: Sequence[Mask | None], associations: Sequence[Association], nesting: Nesting) -> None:
         if self.parameters.lifecycle.evidence:
             count_pairs(kept, associations, nesting, self._evidence, self.parameters.lifecycle)
 
-    def _vote(
-        self, region: Region, look: Look, associations: Sequence[Association], moved: Sequence[Moved]
-    ) -> tuple[VoxelChanges, NDArray[np.int64]]:
-        """Every (voxel, mask) pair votes; returns the changes and how many voxels of each mask abstained."""
+    def _vote(self, region: Region, look: Look, associations: Sequence[Association]) -> NDArray[np.int64]:
+        """Every (voxel, mask) pair votes; returns how many voxels of each mask abstained."""
         column = {f: c for c, f in enumerate(look.fragments.tolist())}
         held = np.zeros((region.masks, len(column)), np.bool_)
         main = np.full(region.masks, EMPTY, np.int32)
@@ -215,17 +219,17 @@ class Mapper:
             held[one.mask, [column[f] for f in sorted(one.held) if f in column]] = True
             main[one.mask] = one.main or EMPTY
             undecided[one.mask] = self._is_undecided(one)
-        target = self._engine.targets(region, look, held, main, undecided)
-        object_vote = 2 if self.parameters.evolution.background else 1
-        doubtful = (target == 0) & (look.label[region.pair_voxel] == 0)
-        amount = np.where(doubtful, 1, object_vote).astype(np.int32)
-        abstained = np.bincount(region.pair_mask[target == EMPTY], minlength=region.masks + 1)
-        changes, owner = self._engine.vote(region, look, target, amount, moved)
+        return self._engine.vote(region, look, held, main, undecided)
+
+    def _settle(self, look: Look) -> VoxelChanges:
+        """The votes of the frame are counted: fragments learn the voxels that they won and lost."""
+        changes, owner = self._engine.settle(look)
         for ids, sign in ((look.owner, -1), (owner, 1)):
-            sizes = np.bincount(ids[look.owner != owner])
-            for f in np.flatnonzero(sizes[1:]).tolist():
-                self._fragments[f + 1].voxels += sign * int(sizes[f + 1])
-        return changes, abstained
+            won, voxels = np.unique(ids[look.owner != owner], return_counts=True)
+            for f, n in zip(won.tolist(), voxels.tolist(), strict=True):
+                if f:
+                    self._fragments[f].voxels += sign * n
+        return changes
 
     def _is_undecided(self, one: Association) -> bool:
         if not self.parameters.evolution.abstention:
@@ -259,10 +263,9 @@ class Mapper:
                 self._fragments[f].matched |= bit
                 self._fragments[f].last_frame = frame.index
 
-    def _cluster(self, associations: Sequence[Association], moved: Sequence[Moved]) -> list[int]:
-        """Instances from the evidence so far; returns the fragments that the frame changed."""
-        touched = {f for one in associations for f in one.held} | {f for _, *both in moved for f in both}
-        changed = sorted(touched)
+    def _cluster(self, associations: Sequence[Association], pieces: Sequence[int]) -> list[int]:
+        """Instances from the evidence so far; returns the fragments that the frame changed. pieces: of cuts."""
+        changed = sorted({f for one in associations for f in one.held} | set(pieces))
         if self.parameters.lifecycle.evidence:
             self._evidence.update(changed, self._fragments)
         return changed
@@ -299,7 +302,7 @@ class Mapper:
     ) -> Step:
         if self._untold:
             changes, self._untold = self._engine.whole(), False
-        instance_of = MappingProxyType(dict(self._evidence.instance_of))
+        instance_of = self._evidence.snapshot()
         return Step(frame, masks, looked, decisions, events, changes, instance_of, self._engine.voxels)
 
 

@@ -71,6 +71,7 @@ def restore_evidence(evidence: Evidence, state: Arrays, fragments: Mapping[int, 
     for f, g, amount in state["apart"].tolist():
         evidence.add_apart(f, g, amount)
     evidence.update(fragments, fragments)
+    evidence.regrouped()  # nothing of it is news
 
 
 def life_arrays(life: Life, looked: int, dimensions: int | None) -> dict[str, NDArray[Any]]:

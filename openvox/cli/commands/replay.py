@@ -27,7 +27,12 @@ def replay(
         Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
     ] = None,
     assignments: options.Assignments = None,
-    engine: Annotated[Literal["cpu"], typer.Option(help="What computes; every engine gives the same bytes.")] = "cpu",
+    engine: Annotated[
+        Literal["cpu", "torch"],
+        typer.Option(
+            help="What computes; torch wants its extra and takes a GPU if there is one. The bytes are the same."
+        ),
+    ] = "cpu",
     out: Annotated[
         str | None, typer.Option(metavar="STEM", help="Write STEM.map.npz and STEM.trace.mcap instead.")
     ] = None,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from openvox.mapper.engines.compiled import kernel
 
 UNKNOWN = -1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paint(image, bits, x0, y0, x1, y1, label):
     """Write `label` into the int32 image wherever a mask's packed bits are set."""
     position = 0
@@ -19,7 +20,7 @@ def paint(image, bits, x0, y0, x1, y1, label):
             position += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def paint_combination(image, bits, x0, y0, x1, y1, after, made):
     """Add a mask to the combination image: combination c becomes after[c], made anew (from `made` up) when first met.
 
@@ -37,7 +38,7 @@ def paint_combination(image, bits, x0, y0, x1, y1, after, made):
     return made
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def common_pixels(bits_a, box_a, bits_b, box_b):
     """Pixels that two masks share."""
     x0, y0 = max(box_a[0], box_b[0]), max(box_a[1], box_b[1])
@@ -53,7 +54,7 @@ def common_pixels(bits_a, box_a, bits_b, box_b):
     return common
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def blur_borders(image, radius, uniform, out):
     """`out` = image, but UNKNOWN within `radius` pixels (square) of a pixel with another label.
 
@@ -83,7 +84,7 @@ def blur_borders(image, radius, uniform, out):
                 out[v, u] = UNKNOWN
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def depth_steps(depth, margin, near, out):
     """`out` = 1 within `margin` pixels of a depth step: neighbours that differ by over 60 mm + 2 % of the nearer one.
 

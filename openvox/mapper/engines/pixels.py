@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
-from numba import njit
+
+from openvox.mapper.engines.compiled import kernel
 
 EMPTY = -1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@partial(kernel, inline="always")
 def mixed(key):
     """A key's bits stirred, so that neighbouring voxels do not crowd one part of a table."""
     x = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -17,7 +20,7 @@ def mixed(key):
     return np.int64((x ^ (x >> np.uint64(32))) & np.uint64(0x7FFFFFFFFFFFFFFF))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find(table, keys, key):
     """Row of a key, or EMPTY."""
     mask = table.size - 1
@@ -29,7 +32,7 @@ def find(table, keys, key):
         slot = (slot + 1) & mask
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert(table, keys, row):
     """Enter a row whose key the table does not hold yet."""
     mask = table.size - 1
@@ -39,14 +42,14 @@ def insert(table, keys, row):
     table[slot] = row
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def insert_range(table, keys, start, end):
     """Enter rows start .. end - 1."""
     for row in range(start, end):
         insert(table, keys, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rebuilt(keys, rows, size):
     """A table of `size` (a power of two) over the first `rows` keys."""
     table = np.full(size, EMPTY, np.int32)
@@ -55,7 +58,7 @@ def rebuilt(keys, rows, size):
     return table
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def color_pixel(z, ray_x, ray_y, rotation, translation, camera, width, height):
     """Nearest colour pixel (column, row) of a depth pixel; (-1, -1) if out of the picture. z: mm; see projection."""
     px = (z * (rotation[0, 0] * ray_x + rotation[0, 1] * ray_y + (rotation[0, 2] << 18)) + translation[0]) >> 28
@@ -71,7 +74,7 @@ def color_pixel(z, ray_x, ray_y, rotation, translation, camera, width, height):
     return u, v
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_pixels(depth, skip, labels, max_mm, x, y, a, b, c, registered, rotation, translation, camera, room):
     """V_m of all masks at once, eq. (6): the voxels that the frame sees, and the pixels of each label in each.
 
@@ -141,7 +144,7 @@ def count_pixels(depth, skip, labels, max_mm, x, y, a, b, c, registered, rotatio
     return keys[:n].copy(), entry_voxel[:e].copy(), entry_label[:e].copy(), entry_pixels[:e].copy(), enough
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def majority(voxels, entry_voxel, entry_label, entry_pixels):
     """The label of most pixels in each voxel, the lowest label on a tie: (voxels,) int32."""
     best = np.zeros(voxels, np.int64)

@@ -7,16 +7,16 @@ limit, so no vote is ever lost. Nothing depends on the place of a row in the tab
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from openvox.mapper import equations
+from openvox.mapper.engines.compiled import kernel
 from openvox.mapper.engines.pixels import EMPTY, find
 
-instance_vector = njit(equations.instance_vector, cache=True, nogil=True)
-count_votes = njit(equations.count_votes, cache=True, nogil=True)
+instance_vector = kernel(equations.instance_vector)
+count_votes = kernel(equations.count_votes)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def strongest(head, fragment, count, following):
     """Fragment with most votes in a list and its votes, the lowest id on a tie; (0, 0) if the list is empty."""
     best, votes = 0, 0
@@ -28,7 +28,7 @@ def strongest(head, fragment, count, following):
     return best, votes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def total_votes(background, head, count, following):
     """All votes of a voxel, background included."""
     total = np.int64(background)
@@ -39,7 +39,7 @@ def total_votes(background, head, count, following):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, following, hidden_evidence):
     """What the map holds where the frame looks.
 
@@ -62,7 +62,7 @@ def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, followi
     return rows, owner, label
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fragments_there(rows, heads, fragment, following, number, found):
     """Numbers the fragments that have votes in any of the rows, in order of appearance, into `found`.
 
@@ -81,7 +81,7 @@ def fragments_there(rows, heads, fragment, following, number, found):
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def shares(pair_voxel, pair_mask, rows, label, masks, columns, number, heads, backgrounds, fragment, count, following):
     """Per mask and fragment: sum of theta in Q20 over the mask's voxels, and the mask's voxels with that label.
 
@@ -106,7 +106,7 @@ def shares(pair_voxel, pair_mask, rows, label, masks, columns, number, heads, ba
     return theta_sum, overlap
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def choose_targets(
     pair_voxel, pair_mask, rows, label, masks, number, held, main, undecided, matched, voxel_votes,
     heads, fragment, count, following,
@@ -145,9 +145,9 @@ def choose_targets(
     return target
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_votes(rows, targets, amounts, heads, backgrounds, fragment, count, following, state):
-    """Count a list of votes. state: [rows, slots, free slot]; there is room for one new slot a vote."""
+    """Count a list of votes. state: [slots used, first free slot]; there is room for one new slot a vote."""
     for p in range(rows.size):
         row, target = rows[p], targets[p]
         if target == 0:
@@ -157,18 +157,18 @@ def add_votes(rows, targets, amounts, heads, backgrounds, fragment, count, follo
         while slot != EMPTY and fragment[slot] != target:
             slot = following[slot]
         if slot == EMPTY:
-            slot = state[2]
+            slot = state[1]
             if slot == EMPTY:
-                slot = state[1]
-                state[1] += 1
+                slot = state[0]
+                state[0] += 1
             else:
-                state[2] = following[slot]
+                state[1] = following[slot]
             fragment[slot], count[slot], following[slot] = target, 0, heads[row]
             heads[row] = slot
         count[slot] = count_votes(count[slot], amounts[p])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_votes(rows, source, target, heads, fragment, following):
     """Rename the votes for `source` to the new fragment `target`."""
     for row in rows:
@@ -179,7 +179,7 @@ def move_votes(rows, source, target, heads, fragment, following):
             slot = following[slot]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def halve(rows, limit, heads, backgrounds, fragment, count, following, state, changed_row, changed_fragment):
     """Halve, rounding down, all counts of the rows that hold more than `limit`; slots at 0 are freed.
 
@@ -202,15 +202,15 @@ def halve(rows, limit, heads, backgrounds, fragment, count, following, state, ch
                     heads[row] = after
                 else:
                     following[previous] = after
-                following[slot] = state[2]
-                state[2] = slot
+                following[slot] = state[1]
+                state[1] = slot
             else:
                 previous = slot
             slot = after
     return n
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def counts_of(rows, fragments, heads, backgrounds, fragment, count, following):
     """The votes of each (row, fragment), fragment 0 = background: (n,) int32."""
     out = np.zeros(rows.size, np.int32)
@@ -226,7 +226,7 @@ def counts_of(rows, fragments, heads, backgrounds, fragment, count, following):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def owners(rows, heads, backgrounds, fragment, count, following):
     """Owner of each row and its share of all votes in Q20 (background's where there is no owner); 0 for EMPTY rows."""
     owner = np.zeros(rows.size, np.int32)
@@ -246,7 +246,7 @@ def owners(rows, heads, backgrounds, fragment, count, following):
     return owner, share
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def all_votes(rows, heads, backgrounds, fragment, count, following, slots):
     """Every vote of the first `rows` rows: row, fragment (0 = background), count, in no particular order."""
     out_row = np.empty(rows + slots, np.int32)
