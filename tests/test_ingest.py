@@ -222,7 +222,9 @@ def test_a_folder_of_nothing_says_what_was_looked_for(tmp_path: Path) -> None:
     assert "is not there" in refusal(tmp_path / "nowhere")
     (tmp_path / "file").touch()
     assert "is a file" in refusal(tmp_path / "file")
-    assert "there is no format 'kitti'; known: auto, scannet, replica" in refusal(tmp_path / "empty", format="kitti")
+    assert "there is no format 'kitti'; known: auto, ros, scannet, replica" in refusal(
+        tmp_path / "empty", format="kitti"
+    )
 
 
 def truncate(path: Path) -> None:

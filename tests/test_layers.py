@@ -33,6 +33,7 @@ OWNERS = {
     "google": {"formats"},
     "foxglove_schemas_protobuf": {"formats"},
     "zstandard": {"formats"},
+    "rosbags": {"sources"},
     "typer": {"cli"},
     "rich": {"cli"},
 }

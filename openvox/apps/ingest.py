@@ -1,12 +1,13 @@
-"""ingest: a folder of RGB-D frames becomes a recording."""
+"""ingest: a folder of RGB-D frames, or a robot's log, becomes a recording."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -46,20 +47,16 @@ def ingest(
     out: Path,
     *,
     format: str = "auto",  # noqa: A002 (the option's name)
-    fps: float = 30.0,
-    origin: tuple[int, int, int] = (0, 0, 0),
-    start: int | None = None,
-    end: int | None = None,
-    stride: int = 1,
     progress: Callable[[int, int], None] | None = None,
+    **given: Any,
 ) -> IngestResult:
     """Records the frames of `source` in `out`, which appears complete or not at all.
 
-    See sources.open_source for the options. Raises InputError, OutputError."""
-    opened = open_source(source, format, fps, origin, start, end, stride)
+    given: fields of sources.Options. Raises InputError, OutputError."""
+    opened = open_source(source, format, **given)
     replaced = out.exists()
-    _check_target(source, out)
-    extra = {"notes": json.dumps(opened.notes), "origin_m": json.dumps(origin)}
+    _check_target(source, out, [given.get(name) for name in ("poses", "extrinsic", "color_from_depth", "camera")])
+    extra = {"notes": json.dumps(opened.notes), "origin_m": json.dumps(given.get("origin", (0, 0, 0)))}
     depths = np.zeros(1 << 16, np.int64)
     with (
         closing(read_ahead(opened.frames, ahead=4)) as frames,
@@ -75,6 +72,8 @@ def ingest(
                 depths += _histogram(frame.depth)
             if progress is not None:
                 progress(done, opened.total)
+        notes = (*opened.notes, *opened.late_notes)
+        writer.describe(notes=json.dumps(notes))
     info = writer.info()
     return IngestResult(
         output=str(out),
@@ -88,13 +87,15 @@ def ingest(
         path_length_m=info.path_length_m,
         depth_range_m=_range(depths),
         has_truth=info.has_truth,
-        notes=opened.notes,
+        notes=notes,
         digest=info.digest,
     )
 
 
-def _check_target(source: Path, out: Path) -> None:
-    """Refuses to write over a file of the source."""
+def _check_target(source: Path, out: Path, others: Sequence[Any]) -> None:
+    """Refuses to write over a file of the source, or one of the others."""
+    if any(isinstance(path, Path | str) and out.resolve() == Path(path).resolve() for path in (source, *others)):
+        raise InputError(f"{out} is read itself; name another file for the recording")
     if out.is_file() and out.resolve().is_relative_to(source.resolve()):
         with out.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:

@@ -28,3 +28,14 @@ def origin(text: str) -> tuple[int, int, int]:
     except ValueError:
         raise typer.BadParameter(f"{text!r}: expected X,Y,Z in whole metres, as in 455200,5411900,0") from None
     return x, y, z
+
+
+def pairs(option: str, texts: list[str]) -> dict[str, str]:
+    """ROLE=NAME, each role once. Raises typer.BadParameter (exit 2)."""
+    found: dict[str, str] = {}
+    for text in texts:
+        role, equals, name = text.partition("=")
+        if not equals or not name or role in found:
+            raise typer.BadParameter(f"{option} {text}: expected ROLE=NAME, each role once")
+        found[role] = name
+    return found

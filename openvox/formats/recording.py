@@ -134,6 +134,10 @@ class RecordingWriter:
         self._last_index = index
         self._dropped.setdefault(reason, _Numbers()).add(index)
 
+    def describe(self, **more: str) -> None:
+        """Metadata that are known only now; the record at the end has them."""
+        self._begin = self._begin | more
+
     def info(self) -> RecordingInfo:
         """What was written; only after the block has ended."""
         return recording_info(self.path)

@@ -7,42 +7,38 @@ from pathlib import Path
 from typing import Any
 
 from openvox.core.errors import InputError
+from openvox.sources.poses import with_own_poses
 from openvox.sources.source import Dropped, Options, Source
 
-__all__ = ["FORMATS", "Dropped", "Source", "open_source"]
+__all__ = ["FORMATS", "Dropped", "Options", "Source", "open_source"]
 
-FORMATS = {"scannet": "openvox.sources.scannet", "replica": "openvox.sources.replica"}
-"""Format to module; each has WANTED, missing(folder) and read(folder, options)."""
+FORMATS = {
+    "ros": "openvox.sources.ros",
+    "scannet": "openvox.sources.scannet",
+    "replica": "openvox.sources.replica",
+}
+"""Format to module; each has WANTED, missing(path) and read(path, options)."""
 
 
-def open_source(
-    path: Path,
-    format: str = "auto",  # noqa: A002 (the option's name)
-    fps: float = 30.0,
-    origin: tuple[int, int, int] = (0, 0, 0),
-    start: int | None = None,
-    end: int | None = None,
-    stride: int = 1,
-) -> Source:
-    """Opens a folder of frames.
+def open_source(path: Path, format: str = "auto", **given: Any) -> Source:  # noqa: A002 (the option's name)
+    """Opens a folder of frames, or a robot's log.
 
-    format: a name of FORMATS, or auto: guessed. fps: frame rate where the source has no stamps. origin: whole metres,
-    subtracted from every position. start, end (exclusive), stride: frame numbers. Raises InputError, here for what is
-    missing, while iterating for files that are not what they should be."""
-    options = Options(fps, origin, start, end, stride)
-    if not path.is_dir():
-        raise InputError(
-            f"{path} is {'a file' if path.exists() else 'not there'}; expected a folder of exported frames"
-        )
+    format: a name of FORMATS, or auto: guessed. given: fields of Options. Raises InputError, here for what is missing,
+    while iterating for files that are not what they should be."""
+    options = Options(**given)
+    if not path.exists():
+        raise InputError(f"{path} is not there; expected a folder of frames, or a robot's log")
     if format not in ("auto", *FORMATS):
         raise InputError(f"there is no format {format!r}; known: auto, {', '.join(FORMATS)}")
     lacking: list[str] = []
     for name, module in FORMATS.items():
         if format in ("auto", name):
             loader: Any = import_module(module)
-            missing = loader.missing(path)
+            missing = loader.missing(path, options)
             if not missing:
                 source: Source = loader.read(path, options)
-                return source
+                own = options.poses is not None or options.color_from_depth is not None
+                return with_own_poses(source, options) if own else source
             lacking.append(f"{name} wants {' '.join(loader.WANTED)} and lacks {' '.join(missing)}")
-    raise InputError(f"{path} holds no frames that can be read: {'; '.join(lacking)}")
+    what = f"{path} is a file that" if path.is_file() else str(path)
+    raise InputError(f"{what} holds no frames that can be read: {'; '.join(lacking)}")

@@ -33,7 +33,7 @@ DEPTH_SCALE = "6553.5"
 """Units of a metre where cam_params.json gives none."""
 
 
-def missing(folder: Path) -> list[str]:
+def missing(folder: Path, options: Options) -> list[str]:
     """What a folder lacks to be such a scene."""
     found = ((folder / "results").is_dir(), (folder / "traj.txt").is_file(), _parameters_file(folder) is not None)
     return [name for name, there in zip(WANTED, found, strict=True) if not there]

@@ -46,9 +46,9 @@ class _Files:
     categories: Mapping[int, Path]
 
 
-def missing(folder: Path) -> list[str]:
+def missing(folder: Path, options: Options) -> list[str]:
     """What a folder lacks to be such a scene."""
-    return [name for name in WANTED if not (folder / name).is_dir()]
+    return [name for name in WANTED if not (folder / name).is_dir() and not (name == "pose/" and options.poses)]
 
 
 def read(folder: Path, options: Options) -> Source:
@@ -58,7 +58,7 @@ def read(folder: Path, options: Options) -> Source:
     if not numbers:
         raise InputError(f"{folder} has no numbered files in color/, depth/ and pose/ (as color/0.jpg, depth/0.png)")
     chosen = options.chosen(folder, numbers)
-    _check_complete(folder, files, chosen)
+    _check_complete(folder, files, chosen, options)
     stamps, stamp_notes = _stamps(folder, numbers, options)
     rig, rig_notes = _rig(folder, files.color[chosen[0]], files.depth[chosen[0]])
     return Source(
@@ -81,9 +81,10 @@ def _files(folder: Path) -> _Files:
     )
 
 
-def _check_complete(folder: Path, files: _Files, chosen: list[int]) -> None:
+def _check_complete(folder: Path, files: _Files, chosen: list[int], options: Options) -> None:
     """Every chosen frame has each of its files."""
-    wanted = [("color", files.color), ("depth", files.depth), ("pose", files.pose)]
+    wanted = [("color", files.color), ("depth", files.depth)]
+    wanted += [] if options.poses else [("pose", files.pose)]
     wanted += [(name, found) for name, found in zip(_TRUTH, (files.instances, files.categories), strict=True) if found]
     for name, found in wanted:
         for number in chosen:
@@ -158,8 +159,7 @@ def _frames(
     files: _Files, chosen: list[int], stamps: Mapping[int, int], rig: Rig, options: Options
 ) -> Iterator[Frame | Dropped]:
     for number in chosen:
-        path = files.pose[number]
-        pose = pose_of(parse_matrix(read_text(path), str(path)), options.origin, str(path))
+        pose = Pose.identity() if options.poses else _pose(files.pose[number], options)
         if pose is None:
             yield Dropped(number, NO_POSE)
             continue
@@ -175,6 +175,10 @@ def _frames(
             truth_instances=_ids(files.instances.get(number), rig.color),
             truth_categories=_ids(files.categories.get(number), rig.color),
         )
+
+
+def _pose(path: Path, options: Options) -> Pose | None:
+    return pose_of(parse_matrix(read_text(path), str(path)), options.origin, str(path))
 
 
 def _ids(path: Path | None, camera: Intrinsics) -> IdImage | None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import decimal
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -48,21 +48,46 @@ class Source:
     notes: tuple[str, ...]
     """What was assumed, invented or changed, a sentence each."""
     total: int
-    """Frames to come, dropped ones included."""
+    """Frames to come, dropped ones included; 0 if that is not known."""
     frames: Iterator[Frame | Dropped]
+    late_notes: list[str] = field(default_factory=list)
+    """What was noticed on the way; whole after the last frame."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a source is to be read: frame rate where it has no stamps, metres to subtract, frames to take."""
+    """How a source is to be read."""
 
     fps: float = 30.0
+    """Frame rate where it has no stamps."""
     origin: tuple[int, int, int] = (0, 0, 0)
+    """Whole metres to subtract from every position."""
     start: int | None = None
     end: int | None = None
+    """Exclusive; both, and stride, are frame numbers."""
     stride: int = 1
+    poses: Path | None = None
+    """A trajectory to take instead of the source's poses, and where the depth camera sits in what it is of."""
+    extrinsic: Path | None = None
+    color_from_depth: Path | None = None
+    """A matrix that takes depth-camera coordinates to those of the colour camera."""
+    camera: str | None = None
+    """Of a log: the frame whose pose is wanted. Of a folder that brings no intrinsics: a file of them."""
+    world: str | None = None
+    """Of a log: the frame that the map is made in."""
+    topics: Mapping[str, str] = field(default_factory=dict)
+    """Of a log: color, depth, color_info, depth_info or pose to the topic to take."""
+    max_gap: float = 0.2
+    """Seconds between two poses up to which one is made in between."""
+    tolerance: float = 0.02
+    """Seconds between the stamps of colour and depth up to which they are one frame."""
 
     def __post_init__(self) -> None:
+        for name, value in (("max gap", self.max_gap), ("tolerance", self.tolerance)):
+            if not 0 <= value <= 3600:
+                raise InputError(f"the {name} is {value} s; expected 0 to 3600 s")
+        if self.extrinsic is not None and self.poses is None and "pose" not in self.topics:
+            raise InputError("--extrinsic says where the camera sits on what --poses or --topic pose= tells the way of")
         if not (math.isfinite(self.fps) and 1e-3 <= self.fps <= 1e6):
             raise InputError(f"the frame rate is {self.fps}; expected 0.001 to 1000000 frames a second")
         if self.stride < 1:
@@ -74,7 +99,7 @@ class Options:
 
     def stamp(self, index: int) -> int:
         """Invented stamp of a frame, nanoseconds: exact for the decimal frame rate, rounded once."""
-        return _nanoseconds(Decimal(index) / Decimal(repr(self.fps)))
+        return nanoseconds(Decimal(index) / Decimal(repr(self.fps)))
 
     def chosen(self, path: Path, numbers: Sequence[int]) -> list[int]:
         """Those of the source's frame numbers that are asked for; none is an error."""
@@ -192,6 +217,14 @@ def pose_of(matrix: Matrix, origin: tuple[int, int, int], where: str) -> Pose | 
     return replace(pose, translation=(x, y, z))
 
 
+def read_transform(path: Path) -> Pose:
+    """A rigid transform of a file with a 4x4 matrix, metres."""
+    pose = pose_of(parse_matrix(read_text(path), str(path)), (0, 0, 0), str(path))
+    if pose is None:
+        raise InputError(f"{path} holds a number that is not finite; expected a 4x4 matrix")
+    return pose
+
+
 def camera_of(matrix: Matrix, size: tuple[int, int], where: str) -> Intrinsics:
     """A pinhole camera of a 3x3 or 4x4 intrinsic matrix and a picture's width and height."""
     if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]) or abs(matrix[1, 0]) > 0:
@@ -221,13 +254,13 @@ def read_stamps(path: Path, count: int) -> list[int]:
             seconds = Decimal("nan")
         if not 0 <= seconds < MAX_STAMP_NS // 10**9 if seconds.is_finite() else True:
             raise InputError(f"{path}, line {line}: stamp {text!r}; expected seconds between 0 and 2**31")
-        stamp = _nanoseconds(seconds)
+        stamp = nanoseconds(seconds)
         if stamps and stamp <= stamps[-1]:
             raise InputError(f"{path}, line {line}: stamp {text} comes not after the one before; stamps must rise")
         stamps.append(stamp)
     return stamps
 
 
-def _nanoseconds(seconds: Decimal) -> int:
-    """Rounded half to even; exact to 28 digits."""
+def nanoseconds(seconds: Decimal) -> int:
+    """Of seconds, rounded half to even; exact to 28 digits."""
     return int((seconds * 10**9).to_integral_value(decimal.ROUND_HALF_EVEN))
