@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -16,6 +16,10 @@ Start = Annotated[int | None, typer.Option("--start", min=0, metavar="N", help="
 End = Annotated[int | None, typer.Option("--end", min=0, metavar="N", help="Frame number to stop before.")]
 Stride = Annotated[
     int, typer.Option("--stride", min=1, metavar="N", help="Every Nth frame: (frame - start) mod N = 0.")
+]
+Engine = Annotated[
+    Literal["cpu", "torch"],
+    typer.Option(help="What computes; torch wants its extra and takes a GPU if there is one. The bytes are the same."),
 ]
 Recording = Annotated[Path, typer.Argument(metavar="REC.mcap", help="A recording made by ingest.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map made by replay, STEM.map.npz.")]

@@ -7,7 +7,19 @@ from typing import Annotated
 import typer
 
 from openvox import __version__
-from openvox.cli.commands import compare, evaluate, explain, export, info, ingest, perceive, query, recover, replay
+from openvox.cli.commands import (
+    compare,
+    evaluate,
+    explain,
+    export,
+    info,
+    ingest,
+    perceive,
+    query,
+    recover,
+    replay,
+    sweep,
+)
 
 app = typer.Typer(
     rich_markup_mode=None,  # plain help: quick, and the same text in docs/commands.md
@@ -42,6 +54,7 @@ for command, examples in (
     (recover.recover, recover.EXAMPLES),
     (perceive.perceive, perceive.EXAMPLES),
     (replay.replay, replay.EXAMPLES),
+    (sweep.sweep, sweep.EXAMPLES),
     (query.query, query.EXAMPLES),
     (evaluate.evaluate, evaluate.EXAMPLES),
     (explain.explain, explain.EXAMPLES),

@@ -27,12 +27,7 @@ def replay(
         Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
     ] = None,
     assignments: options.Assignments = None,
-    engine: Annotated[
-        Literal["cpu", "torch"],
-        typer.Option(
-            help="What computes; torch wants its extra and takes a GPU if there is one. The bytes are the same."
-        ),
-    ] = "cpu",
+    engine: options.Engine = "cpu",
     out: Annotated[
         str | None, typer.Option(metavar="STEM", help="Write STEM.map.npz and STEM.trace.mcap instead.")
     ] = None,
