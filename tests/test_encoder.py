@@ -45,7 +45,7 @@ def test_a_padded_batch_agrees_with_single_calls(minilm):
     for i, row in enumerate(rows):
         ids[i, : len(row)], attention[i, : len(row)] = row, 1
     inputs = {"input_ids": ids, "attention_mask": attention, "token_type_ids": np.zeros_like(ids)}
-    states = minilm._session.run(["last_hidden_state"], inputs)[0].astype(np.float64)
+    states = minilm._model.run(["last_hidden_state"], **inputs)[0].astype(np.float64)
     mean = (states * attention[..., None]).sum(1) / attention.sum(1)[:, None]
     batch = (mean / np.linalg.norm(mean, axis=1, keepdims=True)).astype(np.float32)
     np.testing.assert_allclose(batch, minilm.encode(CAPTIONS), atol=1e-6)
@@ -82,7 +82,5 @@ def test_an_unknown_encoder_is_a_sentence():
 
 def test_a_model_that_is_not_there_is_a_sentence(monkeypatch, tmp_path):
     monkeypatch.setitem(ENCODERS, "lost", tmp_path)
-    with pytest.raises(
-        InputError, match=r"model_int8.onnx: the encoder's file cannot be read .*; install openvox again"
-    ):
+    with pytest.raises(InputError, match=r"model_int8.onnx: the model's file cannot be read .*; install openvox again"):
         encoder("lost")

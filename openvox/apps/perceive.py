@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -24,7 +25,9 @@ from openvox.formats.recording import RecordingInfo, read_frames, recording_info
 from openvox.perception.parameters import PerceptionParameters
 from openvox.perception.pipeline import Pipeline, perceive_frames
 
-Frontend = Literal["geometry", "oracle"]
+Frontend = Literal["offline", "geometry", "oracle"]
+GROUPS = {"offline": ("geometry", "offline"), "geometry": ("geometry",), "oracle": ("oracle",), "detections": ()}
+"""The groups of parameters that each front end uses."""
 ENCODER = "minilm"
 NAMED_NUMBERS = 5
 """So many of the frame numbers that a recording lacks are named."""
@@ -63,14 +66,15 @@ def perceive(
     start: int | None = None,
     end: int | None = None,
     stride: int = 1,
-    jobs: int = 1,
+    jobs: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PerceiveResult:
     """Runs Det, SegCap and Enc over a recording's frames; `out` appears complete or not at all.
 
-    frontend: geometry (the default) or oracle; or detections, a file of the user's own front end. assignments:
-    `group.name=value` texts. start, end (exclusive), stride: frame numbers. jobs: threads; the result is the same. What
-    an older file of that name, or an interrupted run, holds of the same stages is not done again.
+    frontend: offline (the default), geometry or oracle; or detections, a file of the user's own front end. assignments:
+    `group.name=value` texts. start, end (exclusive), stride: frame numbers. jobs: threads, by default one a core; the
+    result is the same. What an older file of that name, or an interrupted run, holds of the same stages is not done
+    again.
     Raises InputError, OutputError."""
     began = time.perf_counter()
     chosen = _chosen(frontend, detections)
@@ -78,6 +82,7 @@ def perceive(
     info = recording_info(recording)
     target = out or recording.with_name(recording.stem + SUFFIX)
     _check_target(target, recording, detections)
+    jobs = len(os.sched_getaffinity(0)) if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     notes: list[str] = []
@@ -134,7 +139,7 @@ def _chosen(frontend: Frontend | None, detections: Path | None) -> str:
             f"--frontend {frontend} and --detections {detections} are both given; masks come from one of them: "
             "leave the other out"
         )
-    return "detections" if detections is not None else frontend or "geometry"
+    return "detections" if detections is not None else frontend or "offline"
 
 
 def _parameters(chosen: str, assignments: Sequence[str]) -> PerceptionParameters:
@@ -142,7 +147,7 @@ def _parameters(chosen: str, assignments: Sequence[str]) -> PerceptionParameters
     changes = from_assignments(assignments)
     parameters = updated(PerceptionParameters(), changes, source="--set")
     for name in changes:
-        if name.partition(".")[0] != chosen:
+        if name.partition(".")[0] not in GROUPS[chosen]:
             what = "come as they are" if chosen == "detections" else f"are found by {chosen}"
             raise InputError(f"--set: {name} has no effect here, because masks {what}; leave it out")
     return parameters
@@ -173,13 +178,19 @@ def _pipeline(
         if not info.has_truth:
             raise InputError(
                 f"{info.path} has no ground truth, which --frontend oracle takes its masks from; "
-                "use --frontend geometry or --detections FILE"
+                "use --frontend offline or --detections FILE"
             )
         oracle = parameters.oracle
         return Pipeline(OracleBoxes(oracle, info.categories), OracleMasks(oracle, info.categories), captions)
     from openvox.perception.geometry import Geometry, NoBoxes, room_of
 
-    return Pipeline(NoBoxes(), Geometry(parameters.geometry, room_of(info, parameters.geometry)), captions)
+    room = room_of(info, parameters.geometry)
+    if chosen == "geometry":
+        return Pipeline(NoBoxes(), Geometry(parameters.geometry, room), captions)
+    from openvox.perception.nanodet import NanoDet
+    from openvox.perception.offline import Offline
+
+    return Pipeline(NanoDet(parameters.offline), Offline(parameters.geometry, parameters.offline, room), captions)
 
 
 def _earlier(target: Path, left: Path | None, notes: list[str]) -> list[Iterator[FrameMasks]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from functools import cache, lru_cache
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
+from openvox.perception.onnx import Model
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
 ENCODERS = {"minilm": MODELS / "minilm_l6_v2_int8"}
@@ -37,19 +37,14 @@ class TextEncoder:
     """
 
     def __init__(self, name: str, folder: Path) -> None:
-        import onnxruntime
         from tokenizers import BertWordPieceTokenizer
 
         self.name = name
-        self.model_digest = _digest_of(folder / "model_int8.onnx", folder / "vocab.txt")
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1  # a caption is too little work to share: two threads take longer
-        self._session = onnxruntime.InferenceSession(
-            folder / "model_int8.onnx", options, providers=["CPUExecutionProvider"]
-        )
+        self._model = Model(folder / "model_int8.onnx", folder / "vocab.txt")
+        self.model_digest = self._model.digest
         self._tokenizer = BertWordPieceTokenizer(str(folder / "vocab.txt"), lowercase=True)
         self._tokenizer.enable_truncation(MAX_TOKENS)
-        self.dimensions: int = self._session.get_outputs()[0].shape[-1]
+        self.dimensions: int = self._model.width()
         self._vector = lru_cache(_REMEMBERED)(self._encode)
 
     def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
@@ -61,25 +56,11 @@ class TextEncoder:
     def _encode(self, text: str) -> NDArray[np.float32]:
         tokens = self._tokenizer.encode(text)
         ids = np.array([tokens.ids], np.int64)
-        inputs = {
-            "input_ids": ids,
-            "attention_mask": np.ones_like(ids),
-            "token_type_ids": np.zeros_like(ids),
-        }
-        states = self._session.run(["last_hidden_state"], inputs)[0][0].astype(np.float64)
+        found = self._model.run(
+            ["last_hidden_state"], input_ids=ids, attention_mask=np.ones_like(ids), token_type_ids=np.zeros_like(ids)
+        )
+        states = found[0][0].astype(np.float64)
         mean = states.sum(0) / len(states)
         vector: NDArray[np.float32] = (mean / np.linalg.norm(mean)).astype(np.float32)
         vector.flags.writeable = False
         return vector
-
-
-def _digest_of(*files: Path) -> str:
-    digest = hashlib.sha256()
-    for file in files:
-        try:
-            digest.update(file.read_bytes())
-        except OSError as error:
-            raise InputError(
-                f"{file}: the encoder's file cannot be read ({error.strerror}); install openvox again"
-            ) from None
-    return digest.hexdigest()

@@ -79,7 +79,7 @@ class Geometry:
         labels = segments(seen, background_of(seen, self._room, frame.world_from_depth), p)
         form = forms(labels, seen, self._room, frame.world_from_depth)
         labels = at_depth_pixels(labels, seen, depth_in_metres(frame.depth, p.near, p.far))
-        labels = _smooth(at_color_pixels(labels, frame.depth, frame.rig))
+        labels = smooth(at_color_pixels(labels, frame.depth, frame.rig))
         colors = _colors(labels, frame)
         area = np.bincount(labels.reshape(-1))
         return tuple(
@@ -121,7 +121,7 @@ def _frames_from(path: Path, numbers: list[int]) -> Iterator[Frame]:
                 break
 
 
-def _smooth(labels: Labels) -> Labels:
+def smooth(labels: Labels) -> Labels:
     """The same regions with frayed outlines cut straight and specks gone."""
     import cv2
 

@@ -52,6 +52,11 @@ class Room:
         facing = [plane for plane in self.planes if _dot(plane.normal, self.up) > FACING]
         return facing[0] if facing else None
 
+    def up_in(self, pose: Pose) -> Floats:
+        """(3,) `up` in the axes of a camera with that camera-to-world pose."""
+        rows = pose.rotation()
+        return np.array([sum(self.up[i] * rows[i][j] for i in range(3)) for j in range(3)], np.float32)
+
     def digest(self) -> str:
         """SHA-256 of the numbers."""
         return digest_of([self.up, [[plane.normal, plane.offset] for plane in self.planes]])

@@ -11,6 +11,7 @@ from openvox.core.types import DepthImage, Rig
 from openvox.perception.segments import Labels
 from openvox.perception.surface import Floats, Surface, phases
 
+Doubles = NDArray[np.float64]
 _NOTHING = np.uint32(0xFFFFFFFF)
 
 
@@ -46,6 +47,33 @@ def at_color_pixels(labels: Labels, depth: DepthImage, rig: Rig) -> Labels:
     labels: (height, width) of the depth camera. Returns that of the colour camera."""
     if rig.registered:
         return labels
+    front = _front(labels, depth, rig)
+    return np.where(front == _NOTHING, 0, front & np.uint32(0xFFFF)).astype(np.int32)
+
+
+def depth_at_color_pixels(depth: DepthImage, rig: Rig) -> Floats:
+    """(height, width) metres of what each colour pixel shows, 0 where the depth camera did not measure it."""
+    if rig.registered:
+        return depth.astype(np.float32) * np.float32(0.001)
+    front = _front(np.zeros(depth.shape, np.int32), depth, rig)
+    return np.where(front == _NOTHING, 0, front >> np.uint32(16)).astype(np.float32) * np.float32(0.001)
+
+
+def color_pixels_of(surface: Surface, rig: Rig) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(h, w) row and column of the colour pixel that shows each working pixel's point, the rim's where none does."""
+    h, w = surface.valid.shape
+    if rig.registered:
+        rows = np.arange(h)[:, None] * surface.step + np.zeros(w, np.int64)
+        columns = np.arange(w) * surface.step + np.zeros((h, 1), np.int64)
+    else:
+        x, y, z = surface.points.astype(np.float64)
+        u, v, _ = _in_color_camera(x, y, z, rig)
+        rows, columns = np.rint(v).astype(np.int64), np.rint(u).astype(np.int64)
+    return rows.clip(0, rig.color.height - 1), columns.clip(0, rig.color.width - 1)
+
+
+def _front(labels: Labels, depth: DepthImage, rig: Rig) -> NDArray[np.uint32]:
+    """Millimetres << 16 | label of the nearest thing at each colour pixel, _NOTHING where there is none."""
     color, step = rig.color, max(1, math.ceil(rig.color.fx / rig.depth.fx), math.ceil(rig.color.fy / rig.depth.fy))
     height, width = -(-color.height // step), -(-color.width // step)
     u, v, z = _projected(depth, rig)
@@ -58,17 +86,21 @@ def at_color_pixels(labels: Labels, depth: DepthImage, rig: Rig) -> Labels:
     front = np.full(height * width, _NOTHING, np.uint32)
     np.minimum.at(front, place, key)
     front = _closed(front.reshape(height, width))
-    found = np.where(front == _NOTHING, 0, front & np.uint32(0xFFFF)).astype(np.int32)
-    return found.repeat(step, 0).repeat(step, 1)[: color.height, : color.width]
+    return front.repeat(step, 0).repeat(step, 1)[: color.height, : color.width]
 
 
-def _projected(depth: DepthImage, rig: Rig) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _projected(depth: DepthImage, rig: Rig) -> tuple[Doubles, Doubles, Doubles]:
     """Column and row in the colour image and depth in its camera of every depth pixel; depth 0 where there is none."""
-    rows, t = rig.depth_from_color.rotation(), rig.depth_from_color.translation
     z = depth.astype(np.float64) * 0.001
-    x = (np.arange(rig.depth.width) - rig.depth.cx) / rig.depth.fx * z - t[0]
-    y = ((np.arange(rig.depth.height) - rig.depth.cy) / rig.depth.fy)[:, None] * z - t[1]
-    shifted = z - t[2]
+    x = (np.arange(rig.depth.width) - rig.depth.cx) / rig.depth.fx * z
+    y = ((np.arange(rig.depth.height) - rig.depth.cy) / rig.depth.fy)[:, None] * z
+    return _in_color_camera(x, y, z, rig)
+
+
+def _in_color_camera(x: Doubles, y: Doubles, z: Doubles, rig: Rig) -> tuple[Doubles, Doubles, Doubles]:
+    """Column, row and depth in the colour camera of points of the depth camera; depth 0 where there is no point."""
+    rows, t = rig.depth_from_color.rotation(), rig.depth_from_color.translation
+    x, y, shifted = x - t[0], y - t[1], z - t[2]
     # The inverse of a rotation is its transpose: columns of rows.
     cx, cy, cz = (rows[0][i] * x + rows[1][i] * y + rows[2][i] * shifted for i in range(3))
     there = (z > 0) & (cz > 1e-3)

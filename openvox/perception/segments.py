@@ -35,19 +35,24 @@ def segments(surface: Surface, background: Flags, parameters: GeometryParameters
 
 def background_of(surface: Surface, room: Room, world_from_depth: Pose) -> Flags:
     """Where the surface is one of the room's planes, or behind it."""
-    out = np.zeros_like(surface.valid)
+    return planes_at(surface, room, world_from_depth) > 0
+
+
+def planes_at(surface: Surface, room: Room, world_from_depth: Pose) -> NDArray[np.int8]:
+    """(h, w): which of the room's planes the surface is, or is behind, the last that fits; from 1, 0 = none."""
+    out = np.zeros(surface.valid.shape, np.int8)
     where = np.flatnonzero(surface.valid)
     points = in_world(surface.points.reshape(3, -1)[:, where], world_from_depth)
     normals = turned(surface.normals.reshape(3, -1)[:, where], world_from_depth)
     z = surface.points[2].reshape(-1)[where]
     reach = 0.03 + 0.006 * z * z
-    flags = np.zeros(len(where), np.bool_)
-    for plane in room.planes:
+    numbers = np.zeros(len(where), np.int8)
+    for number, plane in enumerate(room.planes, 1):
         a, b, c = plane.normal
         height = points[0] * a + points[1] * b + points[2] * c - plane.offset
         agree = normals[0] * a + normals[1] * b + normals[2] * c > 0.82
-        flags |= ((height < reach) & agree) | (np.abs(height) < 0.015)
-    out.reshape(-1)[where] = flags
+        numbers[((height < reach) & agree) | (np.abs(height) < 0.015)] = number
+    out.reshape(-1)[where] = numbers
     return out
 
 
@@ -89,10 +94,10 @@ def _seeds(free: Flags, min_pixels: int) -> Labels:
     import cv2
 
     opened = np.asarray(cv2.morphologyEx(free.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), np.uint8)
-    return _components(opened, 4, min_pixels)
+    return components(opened, 4, min_pixels)
 
 
-def _components(image: NDArray[np.uint8], connectivity: int, min_pixels: int) -> Labels:
+def components(image: NDArray[np.uint8], connectivity: int, min_pixels: int) -> Labels:
     """Connected parts of what is not 0, of at least so many pixels, numbered from 1."""
     import cv2
 
@@ -188,5 +193,5 @@ def _with_residue(labels: Labels, foreground: Flags, z: Floats, parameters: Geom
     around = np.ones((3, 3), np.uint8)
     loose = np.asarray(cv2.dilate((rest & ~edges).astype(np.uint8), around), np.uint8) * rest
     kept = renumbered(labels, ~small)
-    residue = _components(loose, 8, parameters.residue_pixels)
+    residue = components(loose, 8, parameters.residue_pixels)
     return np.where(residue > 0, residue + int(kept.max()), kept).astype(np.int32)

@@ -121,9 +121,7 @@ def _place(points: NDArray[np.float64], thing: str, room: Room, supported: bool)
 def _supported(labels: Labels, surface: Surface, room: Room, world_from_depth: Pose) -> Flags:
     """For each label, whether below much of its lower edge something near faces up: it stands there."""
     count = int(labels.max()) + 1
-    rows = world_from_depth.rotation()
-    up = np.array([sum(room.up[i] * rows[i][j] for i in range(3)) for j in range(3)], np.float32)
-    faces_up = dot(surface.normals, up) > 0.8
+    faces_up = dot(surface.normals, room.up_in(world_from_depth)) > 0.8
     above, below = pair(labels, "y", SUPPORT_GAP)
     edge = (above > 0) & (above != below) & pair(surface.valid, "y", SUPPORT_GAP)[1]
     upper, lower = pair(surface.points, "y", SUPPORT_GAP)

@@ -23,9 +23,10 @@ EXAMPLES = (
 def perceive(
     recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings made by ingest.")],
     frontend: Annotated[
-        Literal["geometry", "oracle"] | None,
+        Literal["offline", "geometry", "oracle"] | None,
         typer.Option(
-            help="geometry: regions from depth, no model (the default); oracle: the recording's own ground truth."
+            help="offline: regions from depth, named by small models that come with openvox (the default); "
+            "geometry: regions from depth alone; oracle: the recording's own ground truth."
         ),
     ] = None,
     detections: Annotated[
@@ -36,7 +37,9 @@ def perceive(
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
-    jobs: Annotated[int, typer.Option(min=1, metavar="N", help="Threads; the result is the same.")] = 1,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Threads, by default one a core; the result is the same.")
+    ] = None,
     json: options.Json = False,
 ) -> None:
     """Find masks, captions and embeddings in every frame.

@@ -1,0 +1,132 @@
+"""SegCap of the front end that comes with openvox: regions from depth, parted and joined, named where that is sure.
+
+Depth gives regions; height above a top and colour on even ground part what depth alone leaves in one (kind `support`);
+a detector's boxes join pieces into things (kind `object`). Words come from the detector and, for what it did not name,
+from a classifier; both only where they are mostly right. The rest keeps an honest caption without a noun.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.digest import digest_of
+from openvox.core.parameters import Value
+from openvox.core.types import Frame, Mask, MaskKind
+from openvox.formats.detections import Box
+from openvox.formats.images import decode_color
+from openvox.perception.claims import Thing, claims
+from openvox.perception.geometry import SCORE
+from openvox.perception.namer import Namer
+from openvox.perception.nanodet import box_iou
+from openvox.perception.parameters import GeometryParameters, OfflineParameters
+from openvox.perception.parts import Parts, parted
+from openvox.perception.planes import Room
+from openvox.perception.stage import stage_digest
+from openvox.perception.surface import working_step
+from openvox.perception.wording import COLORS, Form, color_of, color_words
+
+AGREE = 0.5
+"""IoU of a mask's box with the detector's: below it the word may be about something else."""
+NO_FORM = Form("", "object", "")
+Word = tuple[str, float]
+"""A noun, "" = none, and how sure it is."""
+VERSION = 1
+
+
+class Offline:
+    """Regions, boxes and words to masks with captions. Takes the room's planes from the whole recording."""
+
+    name = "offline"
+
+    def __init__(self, geometry: GeometryParameters, offline: OfflineParameters, room: Room) -> None:
+        self._geometry, self._offline, self._room = geometry, offline, room
+        self._namer = Namer()
+        self.model_digest = self._namer.digest
+        self.parameters: Mapping[str, Value] = {
+            **{f"geometry.{name}": value for name, value in dataclasses.asdict(geometry).items()},
+            **{f"offline.{name}": value for name, value in dataclasses.asdict(offline).items()},
+        }
+        self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest, room.digest())
+
+    def digest(self, frame: Frame) -> str:
+        """Parameters, model and planes, and from where the frame sees them."""
+        pose = frame.world_from_depth
+        return digest_of([self._digest, pose.quaternion, pose.translation])
+
+    def __call__(self, frame: Frame, boxes: tuple[Box, ...]) -> tuple[Mask, ...]:
+        """What boxes made whole, small boxes before large ones, then the other regions by number."""
+        rgb = decode_color(frame) if frame.color else None
+        parts = parted(frame, rgb, self._room, self._geometry, self._offline)
+        found = [] if rgb is None else claims(boxes, parts, rgb, frame.rig.color.fx, self._offline)
+        things = [*found, *self._left(parts, found, working_step(frame.rig.color) ** 2)]
+        masks = [Mask.from_bitmap(thing.bitmap) for thing in things]
+        words = [("", SCORE)] * len(masks) if rgb is None else self._words(rgb, things, masks)
+        colors = [""] * len(masks) if rgb is None else colors_of(rgb, masks)
+        return tuple(
+            _captioned(mask, thing, parts, word, color)
+            for mask, thing, word, color in zip(masks, things, words, colors, strict=True)
+        )
+
+    def _left(self, parts: Parts, found: Sequence[Thing], scale: int) -> list[Thing]:
+        """Regions that no box took. scale: colour pixels to a working pixel."""
+        taken = {region for thing in found for region in thing.regions}
+        area = np.bincount(parts.labels.reshape(-1))
+        return [
+            Thing(parts.labels == label, None, (label,))
+            for label in range(1, len(area))
+            if area[label] >= self._geometry.min_pixels * scale and label not in taken
+        ]
+
+    def _words(self, rgb: NDArray[np.uint8], things: Sequence[Thing], masks: Sequence[Mask]) -> list[Word]:
+        """A sure detector's word where its box is the mask's; else the classifier's; else the detector's."""
+        p = self._offline
+        words = [_word_of_box(thing.box, mask) for thing, mask in zip(things, masks, strict=True)]
+        unsure = [i for i, (_, score) in enumerate(words) if score < p.word_sure]
+        classified = self._namer(rgb, [masks[i] for i in unsure])
+        for i, (noun, probability) in zip(unsure, classified, strict=True):
+            if probability >= p.word_classified:
+                words[i] = noun, probability
+            elif words[i][1] < p.word_likely:
+                words[i] = "", SCORE
+        return words
+
+
+def _word_of_box(box: Box | None, mask: Mask) -> Word:
+    if box is None or box_iou(np.array(box.corners), np.array(mask.box, np.float64)) < AGREE:
+        return "", 0.0
+    return box.label, box.score
+
+
+def _captioned(mask: Mask, thing: Thing, parts: Parts, word: Word, color: str) -> Mask:
+    """The mask with its kind, scores and words."""
+    noun, score = word
+    form = parts.form.get(thing.regions[0], NO_FORM) if thing.regions else NO_FORM
+    kind: MaskKind = "object" if thing.box else "region" if thing.regions[0] <= parts.pieces else "support"
+    return dataclasses.replace(
+        mask,
+        score=thing.box.score if thing.box else SCORE,
+        label=noun or form.thing,
+        caption=Form("", noun, "").caption(color) if noun else form.caption(color),
+        caption_score=score,
+        named=bool(noun),
+        kind=kind,
+    )
+
+
+def colors_of(rgb: NDArray[np.uint8], masks: Sequence[Mask]) -> list[str]:
+    """Words for the colour of each mask, from every second pixel that has only the mask around it."""
+    import cv2
+
+    words = color_words(rgb[::2, ::2])
+    out = []
+    for mask in masks:
+        x0, y0 = mask.box[0] & 1, mask.box[1] & 1
+        inner = np.asarray(cv2.erode(mask.crop().astype(np.uint8), np.ones((5, 5), np.uint8)), np.uint8)[y0::2, x0::2]
+        top, left = (mask.box[1] + y0) // 2, (mask.box[0] + x0) // 2
+        here = words[top : top + inner.shape[0], left : left + inner.shape[1]]
+        out.append(color_of(np.bincount(here[inner > 0], minlength=len(COLORS))))
+    return out

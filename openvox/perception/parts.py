@@ -1,0 +1,94 @@
+"""A frame parted into regions, by depth, by height above a support, by colour on even ground; in colour pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.types import Frame
+from openvox.perception.geometry import smooth
+from openvox.perception.parameters import GeometryParameters, OfflineParameters
+from openvox.perception.patches import flat_patches
+from openvox.perception.planes import Room
+from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_pixels_of, depth_at_color_pixels
+from openvox.perception.segments import Labels, planes_at, segments
+from openvox.perception.supports import split_supports
+from openvox.perception.surface import Flags, Floats, Surface, depth_in_metres, surface
+from openvox.perception.wording import Form, forms
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Regions of a frame, numbered from 1: pieces up to `pieces`, the rest split off what they stand, lie or hang on.
+
+    labels, background (the room's planes), z (metres, 0 = unknown): (height, width) in colour pixels. depths: of each
+    region, the median of z. form: of each region that depth knows, the words for it."""
+
+    labels: Labels
+    background: Flags
+    z: Floats
+    depths: Floats
+    form: dict[int, Form]
+    pieces: int
+
+
+def parted(
+    frame: Frame, rgb: NDArray[np.uint8] | None, room: Room, geometry: GeometryParameters, offline: OfflineParameters
+) -> Parts:
+    """The regions of a frame. rgb: its colour; without it nothing is parted by colour."""
+    pose = frame.world_from_depth
+    seen = surface(frame.depth, frame.rig.depth, geometry.near, geometry.far)
+    planes = planes_at(seen, room, pose)
+    labels = segments(seen, planes > 0, geometry)
+    pieces = int(labels.max())
+    labels = split_supports(labels, seen, room, pose, geometry, offline)
+    if rgb is not None:
+        labels = flat_patches(labels, _walls(planes, room), seen, room.up_in(pose), _lab(frame, seen, rgb), offline)
+    ground = int(labels.max()) + 1
+    marked = np.where((labels == 0) & (planes > 0), ground, labels).astype(np.int32)
+    marked = at_depth_pixels(marked, seen, depth_in_metres(frame.depth, geometry.near, geometry.far))
+    marked = smooth(at_color_pixels(marked, frame.depth, frame.rig))
+    background = marked == ground
+    return Parts(
+        labels=np.where(background, 0, marked).astype(np.int32),
+        background=background,
+        z=depth_at_color_pixels(frame.depth, frame.rig),
+        depths=_median_depths(labels, seen.points[2]),
+        form=forms(labels, seen, room, pose),
+        pieces=pieces,
+    )
+
+
+def _walls(planes: NDArray[np.int8], room: Room) -> NDArray[np.int8]:
+    """The numbers of upright planes where they are, 0 elsewhere: floors have patterns, walls have pictures."""
+    upright = [
+        i
+        for i, plane in enumerate(room.planes, 1)
+        if abs(sum(a * b for a, b in zip(plane.normal, room.up, strict=True))) < 0.3
+    ]
+    return np.where(np.isin(planes, upright), planes, 0).astype(np.int8)
+
+
+def _lab(frame: Frame, seen: Surface, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """(h, w, 3) CIE Lab of the working pixels, slightly blurred; where colour does not reach, that of the rim."""
+    import cv2
+
+    blurred = cv2.blur(rgb, (3, 3))
+    row, column = color_pixels_of(seen, frame.rig)
+    picked = blurred[row, column].astype(np.float32) * np.float32(1 / 255)
+    return np.asarray(cv2.cvtColor(picked, cv2.COLOR_RGB2Lab), np.float32)
+
+
+def _median_depths(labels: Labels, z: Floats) -> Floats:
+    """(regions + 1,) metres, 0 for none."""
+    flat = labels.reshape(-1)
+    where = np.flatnonzero(flat)
+    where = where[np.lexsort((z.reshape(-1)[where], flat[where]))]
+    count = int(labels.max()) + 1
+    bounds = np.searchsorted(flat[where], np.arange(count + 1))
+    middle = (bounds[:-1] + bounds[1:]) // 2
+    depths = np.append(z.reshape(-1)[where], np.float32(0))[np.minimum(middle, len(where))]
+    result: Floats = np.where(np.diff(bounds) > 0, depths, np.float32(0)).astype(np.float32)
+    return result

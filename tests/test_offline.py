@@ -1,0 +1,309 @@
+"""The front end that comes with openvox: exact coordinates, things parted and joined, words where sure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from worlds import Box as Solid
+from worlds import encode_color, look_at, render, tiny_frames
+
+from openvox.apps.perceive import perceive
+from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
+from openvox.formats.detections import Box
+from openvox.formats.perception import read_masks
+from openvox.perception.claims import claims
+from openvox.perception.namer import GREY, SIDE, Namer, square
+from openvox.perception.nanodet import Letterbox, NanoDet, letterboxed, suppressed
+from openvox.perception.offline import Offline, colors_of
+from openvox.perception.parameters import GeometryParameters, OfflineParameters
+from openvox.perception.parts import Parts, parted
+from openvox.perception.planes import Plane, Room
+
+CAMERA = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
+GEOMETRY = GeometryParameters(plane_area=0.3)
+OFFLINE = OfflineParameters()
+FLOOR = Room((0.0, 0.0, 1.0), (Plane((0.0, 0.0, 1.0), 0.0),))
+TABLE = Solid(1, 7, (-0.8, 1.6, 0.0), (0.8, 2.6, 0.75), (120, 80, 40))
+
+
+def photograph(*solids: Solid, eye: tuple[float, float, float] = (0.0, 0.4, 1.7)) -> Frame:
+    pose = look_at(eye, (0.0, 2.0, 0.8))
+    depth, ids, _, color = render(pose, CAMERA, solids)
+    rig = Rig(CAMERA, CAMERA)
+    return Frame(0, 0, pose, rig, depth, encode_color(color, "png"), "png", truth_instances=ids)
+
+
+def parts_of(frame: Frame, offline: OfflineParameters = OFFLINE) -> Parts:
+    from openvox.formats.images import decode_color
+
+    return parted(frame, decode_color(frame), FLOOR, GEOMETRY, offline)
+
+
+def overlap(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+def best(parts: Parts, truth: np.ndarray) -> tuple[float, int]:
+    """Best IoU of a region with it, and the region."""
+    return max((overlap(parts.labels == i, truth), i) for i in range(1, len(parts.depths)))
+
+
+# Boxes
+
+
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (480, 640), (416, 416), (1001, 333)])
+def test_a_point_of_the_picture_is_found_again_after_the_letterbox(width, height):
+    rgb = np.zeros((height, width, 3), np.uint8)
+    rgb[height // 2 :, width // 2 :] = 255
+    square_, place = letterboxed(rgb, 416)
+    assert square_.shape == (1, 3, 416, 416)
+    row = np.flatnonzero(square_[0, 0, :, 415 - place.left] > 0.5)[0]
+    column = np.flatnonzero(square_[0, 0, 415 - place.top, :] > 0.5)[0]
+    ((x, y, _, _),) = place.undone(np.array([[column, row, 416, 416]], np.float32), width, height)
+    assert abs(x - width // 2) <= 1 / place.scale
+    assert abs(y - height // 2) <= 1 / place.scale
+
+
+def test_the_letterbox_is_undone_by_moving_first_and_scaling_then_and_boxes_end_at_the_rim():
+    place = Letterbox(scale=0.65, left=0, top=52)
+    found = place.undone(np.array([[65.0, 117.0, 130.0, 182.0], [-9.0, 0.0, 500.0, 416.0]], np.float32), 640, 480)
+    np.testing.assert_allclose(found, [[100, 100, 200, 200], [0, 0, 640, 480]], rtol=1e-6)
+
+
+def test_red_comes_first_and_one_is_the_brightest():
+    picture, place = letterboxed(np.full((10, 20, 3), (255, 51, 0), np.uint8), 40)
+    np.testing.assert_allclose(picture[0, :, 20, 20], (1, 0.2, 0), atol=1e-6)
+    assert (picture[0, :, : place.top] == 0).all()
+
+
+def test_of_two_boxes_on_one_thing_the_better_stays_and_other_kinds_may_overlap_more():
+    corners = np.array([[0, 0, 10, 10], [0, 0, 10, 9], [0, 0, 10, 7], [50, 0, 60, 10]], np.float32)
+    scores = np.array([0.8, 0.9, 0.7, 0.8], np.float32)
+    assert suppressed(corners, scores, np.array([1, 1, 1, 1])) == [1, 3]
+    assert suppressed(corners, scores, np.array([1, 1, 2, 1])) == [1, 3, 2]
+    assert suppressed(corners[:0], scores[:0], np.array([], np.int64)) == []
+
+
+def test_a_plain_picture_holds_nothing_and_a_frame_without_colour_neither():
+    detector = NanoDet(OFFLINE)
+    frame = tiny_frames(1, camera=CAMERA)[0]
+    grey = replace(frame, color=encode_color(np.full((240, 320, 3), 127, np.uint8), "png"), color_format="png")
+    assert detector(grey) == ()
+    assert detector(replace(frame, color=b"", color_format="")) == ()
+
+
+# Parts
+
+
+def test_what_stands_on_a_table_and_is_one_surface_with_it_is_parted_by_height():
+    low = Solid(2, 29, (-0.2, 1.9, 0.75), (0.2, 2.2, 0.81), (250, 250, 250))
+    frame = photograph(TABLE, low)
+    whole = parts_of(frame, replace(OFFLINE, support_height=1.0, patch_ground=1_000_000))
+    split = parts_of(frame, replace(OFFLINE, patch_ground=1_000_000))
+    truth = frame.truth_instances == 2
+    assert best(split, truth)[0] > 0.6
+    assert best(split, truth)[0] >= best(whole, truth)[0]
+
+
+def test_a_sheet_on_an_even_table_is_parted_by_colour():
+    sheet = Solid(2, 29, (-0.2, 1.9, 0.75), (0.2, 2.2, 0.752), (250, 250, 250))
+    frame = photograph(TABLE, sheet)
+    truth = frame.truth_instances == 2
+    iou, region = best(parts_of(frame), truth)
+    assert iou > 0.7
+    assert region > parts_of(frame).pieces
+    assert best(parts_of(frame, replace(OFFLINE, patch_ground=1_000_000)), truth)[0] < 0.3
+
+
+def test_a_checked_table_has_no_patches():
+    squares = [
+        Solid(2, 29, (x / 10 - 0.8, y / 10 + 1.6, 0.75), (x / 10 - 0.7, y / 10 + 1.7, 0.751), (250, 250, 250))
+        for x in range(16)
+        for y in range(10)
+        if (x + y) % 2
+    ]
+    parts = parts_of(photograph(TABLE, *squares))
+    assert len(parts.depths) - 1 == parts.pieces
+
+
+# Boxes and parts
+
+
+def two_parts() -> Parts:
+    """Region 1 and 2 side by side, one behind, region 3 far behind both."""
+    labels = np.zeros((60, 80), np.int32)
+    labels[20:40, 20:30], labels[20:40, 30:40], labels[10:20, 20:40] = 1, 2, 3
+    z = np.choose(labels, [4.0, 1.0, 1.05, 3.0]).astype(np.float32)
+    return Parts(labels, labels == 0, z, np.array([0, 1.0, 1.05, 3.0], np.float32), {}, 3)
+
+
+def test_a_box_joins_the_regions_in_it_that_are_near_each_other():
+    parts = two_parts()
+    rgb = np.zeros((60, 80, 3), np.uint8)
+    (thing,) = claims([Box((19, 9, 41, 41), 0.9, "chair")], parts, rgb, 100.0, OFFLINE)
+    assert thing.regions == (1, 2)
+    np.testing.assert_array_equal(thing.bitmap, (parts.labels == 1) | (parts.labels == 2))
+
+
+def test_a_small_box_takes_its_region_before_a_large_one():
+    parts = two_parts()
+    rgb = np.zeros((60, 80, 3), np.uint8)
+    large, small = Box((19, 9, 41, 41), 0.9, "chair"), Box((29, 19, 41, 41), 0.4, "cup")
+    things = claims([large, small], parts, rgb, 100.0, OFFLINE)
+    assert [(thing.box.label, thing.regions) for thing in things if thing.box] == [("cup", (2,)), ("chair", (1,))]
+
+
+def test_a_table_leaves_the_small_things_in_its_box_alone():
+    labels = np.zeros((60, 80), np.int32)
+    labels[20:50, 10:70] = 1
+    labels[15:20, 30:36] = 2
+    z = np.where(labels > 0, 1.0, 4.0).astype(np.float32)
+    parts = Parts(labels, labels == 0, z, np.array([0, 1.0, 1.0], np.float32), {}, 2)
+    rgb = np.zeros((60, 80, 3), np.uint8)
+    for word, regions in (("dining table", (1,)), ("chair", (1, 2))):
+        (thing,) = claims([Box((9, 14, 71, 51), 0.9, word)], parts, rgb, 100.0, OFFLINE)
+        assert thing.regions == regions
+
+
+def test_a_screen_without_depth_is_cut_out_by_colour():
+    """A dark screen measures nothing, so no region is there; the wall behind is known not to be it."""
+    rgb = np.full((120, 160, 3), 220, np.uint8)
+    rgb[30:80, 40:110] = (20, 20, 30)
+    screen = rgb[..., 0] < 100
+    labels = np.zeros((120, 160), np.int32)
+    z = np.where(screen, 0, 3.0).astype(np.float32)
+    parts = Parts(labels, ~screen, z, np.zeros(1, np.float32), {}, 0)
+    (thing,) = claims([Box((36, 27, 114, 84), 0.6, "tv")], parts, rgb, 100.0, OFFLINE)
+    assert overlap(thing.bitmap, screen) > 0.9
+    assert thing.regions == ()
+
+
+def test_a_box_around_nothing_is_dropped():
+    labels = np.zeros((120, 160), np.int32)
+    z = np.full((120, 160), 3.0, np.float32)
+    parts = Parts(labels, labels == 0, z, np.zeros(1, np.float32), {}, 0)
+    rgb = np.full((120, 160, 3), 220, np.uint8)
+    boxes = [Box((36, 27, 114, 84), 0.6, "tv"), Box((5, 5, 6, 6), 0.9, "cup"), Box((-9, 0, -3, 7), 0.9, "cup")]
+    assert claims(boxes, parts, rgb, 100.0, OFFLINE) == []
+
+
+# Words
+
+
+def test_the_classifier_sees_the_mask_alone_in_the_middle_of_grey():
+    rgb = np.full((100, 100, 3), (200, 0, 0), np.uint8)
+    bitmap = np.zeros((100, 100), np.bool_)
+    bitmap[0:40, 60:100] = True
+    crop = square(rgb, Mask.from_bitmap(bitmap))
+    assert crop.shape == (SIDE, SIDE, 3)
+    assert crop[SIDE // 2, SIDE // 2].tolist() == [200, 0, 0]
+    for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
+        assert crop[row, column].tolist() == [GREY] * 3
+
+
+def test_no_masks_need_no_words():
+    assert Namer()(np.zeros((10, 10, 3), np.uint8), []) == []
+
+
+def test_probabilities_of_classes_that_share_a_noun_are_summed():
+    namer = Namer()
+    logits = np.full((1, 1000), -20.0, np.float32)
+    logits[0, [504, 967, 968]] = 5.0  # a mug, and two classes that are cups
+    (row,) = namer._nouns(logits)
+    assert row[namer.nouns.index("cup")] == pytest.approx(2 / 3, abs=1e-6)
+    assert row[namer.nouns.index("mug")] == pytest.approx(1 / 3, abs=1e-6)
+
+
+def words_of(monkeypatch: pytest.MonkeyPatch, box: Box | None, noun: tuple[str, float]) -> list[Mask]:
+    """Masks of a frame with one thing in it, where detector and classifier say what they are told to."""
+    monkeypatch.setattr(Namer, "__call__", lambda self, rgb, masks: [noun] * len(masks))
+    cup = Solid(1, 7, (-0.2, 1.8, 0.0), (0.2, 2.2, 0.9), (250, 250, 250))
+    stage = Offline(GEOMETRY, OFFLINE, FLOOR)
+    return list(stage(photograph(cup), () if box is None else (box,)))
+
+
+def box_of(score: float, wider: float = 0.0) -> Box:
+    cup = Solid(1, 7, (-0.2, 1.8, 0.0), (0.2, 2.2, 0.9), (250, 250, 250))
+    rows, columns = np.nonzero(photograph(cup).truth_instances == 1)
+    x0, y0, x1, y1 = columns.min() - wider, rows.min(), columns.max() + 1 + wider, rows.max() + 1
+    return Box((float(x0), float(y0), float(x1), float(y1)), score, "cup")
+
+
+@pytest.mark.parametrize(
+    ("box", "noun", "caption", "score", "kind"),
+    [
+        (box_of(0.8), ("vase", 0.9), "a white cup", 0.8, "object"),  # a sure detector is believed
+        (box_of(0.45), ("vase", 0.9), "a white vase", 0.9, "object"),  # else the classifier
+        (box_of(0.45), ("vase", 0.2), "a white cup", 0.45, "object"),  # else a likely detector
+        (box_of(0.35), ("vase", 0.2), "", 0.5, "object"),  # else nobody
+        (None, ("vase", 0.36), "a white vase", 0.36, "region"),
+        (None, ("vase", 0.34), "", 0.5, "region"),
+    ],
+)
+def test_words_are_given_only_where_they_are_mostly_right(monkeypatch, box, noun, caption, score, kind):
+    (mask,) = words_of(monkeypatch, box, noun)
+    assert mask.named is bool(caption)
+    assert mask.caption == caption or (not caption and mask.caption.startswith("a white "))
+    assert mask.caption_score == pytest.approx(score)
+    assert mask.kind == kind
+
+
+def test_a_box_that_is_not_the_masks_gives_no_word(monkeypatch):
+    (mask,) = words_of(monkeypatch, box_of(0.9, wider=60.0), ("vase", 0.1))
+    assert not mask.named
+
+
+def test_colours_are_those_of_the_mask_without_its_rim():
+    rgb = np.full((60, 80, 3), 250, np.uint8)
+    rgb[11:31, 21:41] = (200, 30, 30)
+    bitmap = np.zeros((60, 80), np.bool_)
+    bitmap[11:31, 21:41] = True
+    bitmap[40:43, 0:3] = True
+    assert colors_of(rgb, [Mask.from_bitmap(bitmap)]) == ["red"]
+    thin = np.zeros((60, 80), np.bool_)
+    thin[5, 5:9] = True
+    assert colors_of(rgb, [Mask.from_bitmap(thin)]) == [""]
+
+
+# The whole
+
+
+def test_every_thing_of_a_small_room_has_a_mask():
+    frames = tiny_frames(2, camera=CAMERA)
+    detector, stage = NanoDet(OFFLINE), Offline(GEOMETRY, OFFLINE, FLOOR)
+    for frame in frames:
+        masks = stage(frame, detector(frame))
+        for number in np.unique(frame.truth_instances[frame.truth_instances > 0]).tolist():
+            truth = frame.truth_instances == number
+            assert max(overlap(mask.bitmap(240, 320), truth) for mask in masks) > 0.8
+
+
+def test_without_colour_regions_stay_without_words():
+    frame = replace(tiny_frames(1, camera=CAMERA)[0], color=b"", color_format="")
+    masks = Offline(GEOMETRY, OFFLINE, FLOOR)(frame, ())
+    assert len(masks) >= 3
+    assert not any(mask.named for mask in masks)
+    assert masks[0].caption.startswith(("an object", "a vertical surface", "a horizontal surface"))
+
+
+def test_masks_come_out_in_the_pixels_of_a_colour_camera_of_its_own():
+    shifted = Pose((0.0, 0.0, 0.0, 1.0), (0.06, 0.01, 0.0))
+    camera = Intrinsics(width=400, height=300, fx=300.0, fy=300.0, cx=190.0, cy=155.0)
+    sheet = Solid(2, 29, (-0.2, 1.9, 0.75), (0.2, 2.2, 0.752), (250, 250, 250))
+    pose = look_at((0.0, 0.4, 1.7), (0.0, 2.0, 0.8))
+    depth, _, _, _ = render(pose, CAMERA, (TABLE, sheet))
+    _, ids, _, color = render(Pose.from_matrix(pose.matrix() @ shifted.matrix()), camera, (TABLE, sheet))
+    frame = Frame(0, 0, pose, Rig(CAMERA, camera, shifted), depth, encode_color(color, "png"), "png")
+    assert best(parts_of(frame), ids == 2)[0] > 0.6
+
+
+def test_the_number_of_workers_changes_no_byte(tmp_path: Path):
+    from test_perceive import record
+
+    path = record(tmp_path / "room.mcap", tiny_frames(3, camera=replace(CAMERA, width=160, height=120)))
+    files = [perceive(path, jobs=jobs, out=tmp_path / f"{jobs}.mcap").output for jobs in (1, 3)]
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert [found.index for found in read_masks(files[0])] == [0, 1, 2]
