@@ -217,12 +217,12 @@ def test_an_extrinsic_of_the_colour_camera_is_kept(scene: Path) -> None:
 def test_a_folder_of_nothing_says_what_was_looked_for(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     text = refusal(tmp_path / "empty")
-    assert "scannet wants color/ depth/ pose/ intrinsic/ and lacks color/ depth/ pose/ intrinsic/" in text
+    assert "scannet wants color/ depth/ pose/ intrinsic/; replica" in text
     assert "replica wants results/ traj.txt cam_params.json" in text
     assert "is not there" in refusal(tmp_path / "nowhere")
     (tmp_path / "file").touch()
     assert "is a file" in refusal(tmp_path / "file")
-    assert "there is no format 'kitti'; known: auto, ros, scannet, replica" in refusal(
+    assert "there is no format 'kitti'; known: auto, ros, scannet, replica, sens" in refusal(
         tmp_path / "empty", format="kitti"
     )
 

@@ -19,9 +19,9 @@ from openvox.apps.ingest import IngestResult, ingest
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Intrinsics, Pose, Rig
 from openvox.formats.recording import read_frames, recording_info
+from openvox.formats.robot_log import Calibration, Item, Log, Picture, Transform
 from openvox.sources import Dropped, Options
 from openvox.sources.log_frames import read
-from openvox.sources.robot_log import Calibration, Item, Log, Picture, Transform
 from openvox.sources.transforms import Track, Tree, between, compose, inverse
 
 MAKE = Messages()

@@ -16,6 +16,13 @@ FORMATS = {
     "ros": "openvox.sources.ros",
     "scannet": "openvox.sources.scannet",
     "replica": "openvox.sources.replica",
+    "sens": "openvox.sources.sens",
+    "tum": "openvox.sources.tum",
+    "7scenes": "openvox.sources.sevenscenes",
+    "open3d": "openvox.sources.open3d",
+    "stray": "openvox.sources.stray",
+    "foxglove": "openvox.sources.foxglove",
+    "record3d": "openvox.sources.record3d",
 }
 """Format to module; each has WANTED, missing(path) and read(path, options)."""
 
@@ -30,15 +37,15 @@ def open_source(path: Path, format: str = "auto", **given: Any) -> Source:  # no
         raise InputError(f"{path} is not there; expected a folder of frames, or a robot's log")
     if format not in ("auto", *FORMATS):
         raise InputError(f"there is no format {format!r}; known: auto, {', '.join(FORMATS)}")
-    lacking: list[str] = []
-    for name, module in FORMATS.items():
-        if format in ("auto", name):
-            loader: Any = import_module(module)
-            missing = loader.missing(path, options)
-            if not missing:
-                source: Source = loader.read(path, options)
-                own = options.poses is not None or options.color_from_depth is not None
-                return with_own_poses(source, options) if own else source
-            lacking.append(f"{name} wants {' '.join(loader.WANTED)} and lacks {' '.join(missing)}")
+    wanted: list[str] = []
+    for name in FORMATS if format == "auto" else (format,):
+        loader: Any = import_module(FORMATS[name])
+        missing = loader.missing(path, options)
+        if not missing:
+            source: Source = loader.read(path, options)
+            own = options.poses is not None or options.color_from_depth is not None
+            return with_own_poses(source, options) if own else source
+        lacks = f" and lacks {' '.join(missing)}" if len(missing) < len(loader.WANTED) or format != "auto" else ""
+        wanted.append(f"{name} wants {' '.join(loader.WANTED)}{lacks}")
     what = f"{path} is a file that" if path.is_file() else str(path)
-    raise InputError(f"{what} holds no frames that can be read: {'; '.join(lacking)}")
+    raise InputError(f"{what} holds no frames that can be read: {'; '.join(wanted)}")

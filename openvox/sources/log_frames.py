@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Pose, Rig
 from openvox.formats.recording import MAX_STAMP_NS
+from openvox.formats.robot_log import Log, Picture
 from openvox.sources.log_pictures import Camera, color_file, depth_image, size_of
 from openvox.sources.log_places import Places, find_places
 from openvox.sources.log_topics import Choice, choose, probe
-from openvox.sources.robot_log import Log, Picture
 from openvox.sources.source import TWO_CAMERAS, Dropped, Options, Source
 from openvox.sources.transforms import Track, Tree, placed
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from openvox.core.errors import InputError
 from openvox.core.types import MAX_IMAGE_SIDE, DepthImage, Intrinsics
 from openvox.formats.images import MAX_PIXELS, ColorFormat, check_whole, decode_png16, encode_png, image_size
-from openvox.sources.robot_log import Calibration, Picture
+from openvox.formats.robot_log import Calibration, Picture
 from openvox.sources.source import scaled
 
 COLORS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1, "8UC3": 3, "8UC4": 4}

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from openvox.core.errors import InputError
 from openvox.core.types import Pose
+from openvox.formats.robot_log import Log, Transform
 from openvox.sources.log_topics import Choice, Probe
-from openvox.sources.robot_log import Log, Transform
 from openvox.sources.source import Options, read_transform
 from openvox.sources.transforms import Tree
 

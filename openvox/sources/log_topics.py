@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from openvox.core.errors import InputError
+from openvox.formats.robot_log import Calibration, Item, Log, Picture, Transform
 from openvox.sources.log_pictures import COLORS, is_depth, size_of
-from openvox.sources.robot_log import Calibration, Item, Log, Picture, Transform
 
 PROBE_NS = 10_000_000_000
 """Log time that is looked at before anything is decided."""

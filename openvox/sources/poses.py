@@ -72,24 +72,39 @@ def read_trajectory(path: Path, max_gap_ns: int) -> tuple[Lookup, str]:
     """What finds a frame's pose, or says why there is none; and the kind of file, for people. Raises InputError.
 
     TUM: by stamp, between two lines that are not farther apart than that. KITTI: line N is frame number N."""
+    rows, width = _rows(path)
+    if width == TUM:
+        track = tum_track(path)
+        return lambda frame: _said(track.at(frame.stamp_ns, max_gap_ns)), "by stamp"
+    if width == KITTI:
+        poses = [_matrix(words, f"{path}, line {number}") for number, words in rows]
+        return lambda frame: poses[frame.index] if frame.index < len(poses) else "the trajectory ends before", "by line"
+    raise InputError(
+        f"{path} has lines of {width or 'unequally many'} numbers; expected 8 (TUM: stamp tx ty tz qx qy qz qw) or 12 "
+        "(KITTI: the upper three rows of a camera-to-world matrix)"
+    )
+
+
+def tum_track(path: Path) -> Track:
+    """A trajectory by stamp: lines of stamp tx ty tz qx qy qz qw. Raises InputError."""
+    rows, width = _rows(path)
+    if width != TUM:
+        raise InputError(f"{path}: expected lines of stamp tx ty tz qx qy qz qw")
+    track = Track(window_ns=None)
+    for number, words in rows:
+        track.add(*_stamped(words, f"{path}, line {number}"))
+    return track
+
+
+def _rows(path: Path) -> tuple[list[tuple[int, list[str]]], int]:
+    """Number and words of every line that is no comment, and how many words each has; 0 if not all as many."""
     rows = [
         (number, words)
         for number, line in enumerate(read_text(path).splitlines(), 1)
         if (words := line.partition("#")[0].replace(",", " ").split())
     ]
     widths = {len(words) for _, words in rows}
-    if widths == {TUM}:
-        track = Track(window_ns=None)
-        for number, words in rows:
-            track.add(*_stamped(words, f"{path}, line {number}"))
-        return lambda frame: _said(track.at(frame.stamp_ns, max_gap_ns)), "by stamp"
-    if widths == {KITTI}:
-        poses = [_matrix(words, f"{path}, line {number}") for number, words in rows]
-        return lambda frame: poses[frame.index] if frame.index < len(poses) else "the trajectory ends before", "by line"
-    raise InputError(
-        f"{path} has lines of {', '.join(str(width) for width in sorted(widths)[:5]) or 'no'} numbers; expected 8 "
-        "(TUM: stamp tx ty tz qx qy qz qw) or 12 (KITTI: the upper three rows of a camera-to-world matrix)"
-    )
+    return rows, widths.pop() if len(widths) == 1 else 0
 
 
 def _said(found: Pose | str) -> Pose | str:

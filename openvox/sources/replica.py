@@ -6,12 +6,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Intrinsics, Rig
@@ -20,6 +16,7 @@ from openvox.sources.source import (
     Dropped,
     Options,
     Source,
+    depth_table,
     numbered,
     parse_matrix,
     pose_of,
@@ -93,15 +90,6 @@ def _camera(path: Path) -> tuple[Intrinsics, Decimal]:
     return intrinsics, scale
 
 
-def millimetres(scale: Decimal) -> NDArray[np.uint16]:
-    """(65536,): raw depth to millimetres, rounded half to even from the exact quotient."""
-    factor = Fraction(1000) / Fraction(scale)
-    raw = np.arange(1 << 16, dtype=object) * factor.numerator
-    whole, rest = raw // factor.denominator, raw % factor.denominator
-    up = (2 * rest > factor.denominator) | ((2 * rest == factor.denominator) & (whole % 2 == 1))
-    return np.asarray(whole + up, np.uint16)
-
-
 def _frames(
     trajectory: Path,
     color: Mapping[int, Path],
@@ -112,7 +100,7 @@ def _frames(
     scale: Decimal,
     options: Options,
 ) -> Iterator[Frame | Dropped]:
-    table, size = millimetres(scale), (rig.depth.width, rig.depth.height)
+    table, size = depth_table(scale), (rig.depth.width, rig.depth.height)
     for number in chosen:
         where = f"{trajectory}, line {number + 1}"
         pose = pose_of(parse_matrix(poses[number], where), options.origin, where)

@@ -5,19 +5,20 @@ from __future__ import annotations
 import struct
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from openvox.core.errors import InputError
 from openvox.core.types import Pose
 from openvox.formats.mcap_io import MAGIC
+from openvox.formats.robot_log import Calibration, Item, Log, Picture, TopicKind, Transform
 from openvox.sources import log_frames
-from openvox.sources.robot_log import Calibration, Item, Log, Picture, TopicKind, Transform
 from openvox.sources.source import Options, Source
 
 WANTED = ("metadata.yaml", "*.mcap|*.db3|*.bag")
 _TF, _OLD_TF = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
-_KINDS: dict[str, TopicKind] = {
+KINDS: dict[str, TopicKind] = {
     "sensor_msgs/msg/Image": "image",
     "sensor_msgs/msg/CompressedImage": "image",
     "sensor_msgs/msg/CameraInfo": "calibration",
@@ -52,7 +53,7 @@ def _is_ros(path: Path) -> bool:
 def read(path: Path, options: Options) -> Source:
     """Opens a bag. Raises InputError, also while iterating."""
     with _opened(path) as reader:
-        topics = {one.topic: _KINDS[one.msgtype] for one in reader.connections if one.msgtype in _KINDS}
+        topics = {one.topic: KINDS[one.msgtype] for one in reader.connections if one.msgtype in KINDS}
         distro = "ros1" if path.suffix == ".bag" else "ros2"
     log = Log(path, distro, dict(sorted(topics.items())), lambda names: _messages(path, names))
     return log_frames.read(log, options)
@@ -75,20 +76,31 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _messages(path: Path, topics: Collection[str]) -> Iterator[tuple[int, str, Item]]:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    # Only standard messages are read, so a bag's own definitions of others cannot be in the way.
-    store = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_HUMBLE)
-    if _TF not in store.types:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
+    store = _typestore(path.suffix == ".bag")
     decode = store.deserialize_ros1 if path.suffix == ".bag" else store.deserialize_cdr
     with _opened(path) as reader:
-        wanted = [one for one in reader.connections if one.topic in topics and one.msgtype in _KINDS]
+        wanted = [one for one in reader.connections if one.topic in topics and one.msgtype in KINDS]
         if not wanted:
             return
         for connection, time, data in reader.messages(connections=wanted):
             kind = connection.msgtype if connection.msgtype != _OLD_TF else _TF
             yield time, connection.topic, _item(connection.topic, kind, decode(data, kind))
+
+
+def cdr_item(topic: str, kind: str, data: bytes) -> Item:
+    """A ROS 2 message of a file that is no bag."""
+    return _item(topic, kind, _typestore(False).deserialize_cdr(data, kind))
+
+
+@cache
+def _typestore(ros1: bool) -> Any:
+    """Only standard messages are read, so a bag's own definitions of others cannot be in the way."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if _TF not in store.types:
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
+    return store
 
 
 def _item(topic: str, kind: str, message: Any) -> Item:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -112,12 +113,14 @@ class Options:
         return chosen
 
 
-def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "") -> dict[int, Path]:
-    """Files named prefix, number, suffix, by number ascending; two files of one number are an error."""
+def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "", ending: str = "") -> dict[int, Path]:
+    """Files named prefix, number, ending, suffix, by number ascending; two files of one number are an error."""
     found: dict[int, Path] = {}
-    for path in _listed(folder):
-        number = path.stem.removeprefix(prefix)
-        if path.suffix.lower() not in suffixes or not path.stem.startswith(prefix) or not _is_number(number):
+    for path in listed(folder):
+        if not (path.suffix.lower() in suffixes and path.stem.startswith(prefix) and path.stem.endswith(ending)):
+            continue
+        number = path.stem.removeprefix(prefix).removesuffix(ending)
+        if not _is_number(number):
             continue
         if int(number) in found:
             raise InputError(f"{found[int(number)]} and {path.name} are both frame {int(number)}; keep one of them")
@@ -125,7 +128,8 @@ def numbered(folder: Path, suffixes: tuple[str, ...], prefix: str = "") -> dict[
     return dict(sorted(found.items()))
 
 
-def _listed(folder: Path) -> list[Path]:
+def listed(folder: Path) -> list[Path]:
+    """What lies in a folder, by name; nothing if there is none."""
     try:
         return sorted(folder.iterdir()) if folder.is_dir() else []
     except OSError as error:
@@ -187,6 +191,15 @@ def _check_size(path: Path, found: tuple[int, int], expected: tuple[int, int] | 
         )
 
 
+def depth_table(scale: Decimal) -> NDArray[np.uint16]:
+    """(65536,): raw depth, in so many units a metre, to millimetres, rounded half to even from the exact quotient."""
+    factor = Fraction(1000) / Fraction(scale)
+    raw = np.arange(1 << 16, dtype=object) * factor.numerator
+    whole, rest = raw // factor.denominator, raw % factor.denominator
+    up = (2 * rest > factor.denominator) | ((2 * rest == factor.denominator) & (whole % 2 == 1))
+    return np.asarray(whole + up, np.uint16)
+
+
 def parse_matrix(text: str, where: str) -> Matrix:
     """(n, n) float64 of 9 or 16 numbers, row by row; numbers that are not finite are let through."""
     try:
@@ -233,6 +246,18 @@ def camera_of(matrix: Matrix, size: tuple[int, int], where: str) -> Intrinsics:
         return Intrinsics(*size, *(float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))))
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
+
+
+def camera_file(path: Path, size: tuple[int, int]) -> Intrinsics:
+    """A camera of a file: a 3x3 or 4x4 matrix, or the four numbers fx fy cx cy."""
+    words = read_text(path).split()
+    if len(words) != 4:
+        return camera_of(parse_matrix(" ".join(words), str(path)), size, str(path))
+    try:
+        fx, fy, cx, cy = (float(word) for word in words)
+        return Intrinsics(*size, fx, fy, cx, cy)
+    except (ValueError, InputError) as error:
+        raise InputError(f"{path}: {error}; expected fx fy cx cy") from error
 
 
 def scaled(camera: Intrinsics, size: tuple[int, int]) -> Intrinsics:

@@ -7,7 +7,7 @@ from bisect import bisect_left
 from dataclasses import dataclass, field, replace
 
 from openvox.core.types import Pose
-from openvox.sources.robot_log import Transform
+from openvox.formats.robot_log import Transform
 
 Quaternion = tuple[float, float, float, float]
 KEPT_NS = 5_000_000_000

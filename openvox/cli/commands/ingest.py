@@ -22,7 +22,20 @@ def ingest(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A folder of RGB-D frames, or a robot's log.")],
     recording: Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording to write.")],
     layout: Annotated[
-        Literal["auto", "ros", "scannet", "replica"], typer.Option("--format", help="Layout of the source; auto looks.")
+        Literal[
+            "auto",
+            "ros",
+            "scannet",
+            "replica",
+            "sens",
+            "tum",
+            "7scenes",
+            "open3d",
+            "stray",
+            "foxglove",
+            "record3d",
+        ],
+        typer.Option("--format", help="Layout of the source; auto looks."),
     ] = "auto",
     fps: Annotated[float, typer.Option(min=0.001, metavar="N", help="Frame rate where there are no stamps.")] = 30.0,
     origin: Annotated[

@@ -1,0 +1,107 @@
+"""MCAP files of any robot in Foxglove's schemas (protobuf), as pictures, calibrations and transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import DecodeError
+from mcap.reader import SeekingReader
+
+from openvox.core.errors import InputError
+from openvox.core.types import Pose
+from openvox.formats.mcap_io import BROKEN, MAX_RECORD
+from openvox.formats.robot_log import Calibration, Item, Picture, TopicKind, Transform
+
+KINDS: Mapping[str, TopicKind] = {
+    "foxglove.CompressedImage": "image",
+    "foxglove.RawImage": "image",
+    "foxglove.CameraCalibration": "calibration",
+    "foxglove.FrameTransform": "transforms",
+    "foxglove.FrameTransforms": "transforms",
+    "foxglove.PoseInFrame": "pose",
+}
+
+
+def foxglove_topics(path: Path) -> dict[str, tuple[str, str]]:
+    """Schema and message encoding of every topic. Raises InputError."""
+    with _reader(path) as reader:
+        summary = reader.get_summary()
+        if summary is None:
+            raise InputError(f"{path} has no summary; is it whole?")
+        return {
+            channel.topic: (schema.name, channel.message_encoding)
+            for channel in summary.channels.values()
+            if (schema := summary.schemas.get(channel.schema_id)) is not None
+        }
+
+
+def messages(
+    path: Path, topics: Collection[str], others: Callable[[str, str, bytes], Item] | None = None
+) -> Iterator[tuple[int, str, Item]]:
+    """(log time, topic, item) in the order of logging. others: decodes messages that are no protobuf, by their topic
+    and schema. Raises InputError."""
+    with _reader(path) as reader:
+        for schema, channel, message in reader.iter_messages(topics=list(topics)):
+            if channel.message_encoding == "protobuf" and schema.name in KINDS:
+                yield message.log_time, channel.topic, _item(channel.topic, schema.name, message.data)
+            elif others is not None:
+                yield message.log_time, channel.topic, others(channel.topic, schema.name, message.data)
+
+
+@contextmanager
+def _reader(path: Path) -> Iterator[Any]:
+    """The library's reader, with every CRC checked; what broken bytes raise is one sentence."""
+    try:
+        with path.open("rb") as file:
+            yield SeekingReader(file, validate_crcs=True, record_size_limit=MAX_RECORD)
+    except (InputError, GeneratorExit, KeyboardInterrupt):
+        raise
+    except OSError as error:
+        raise InputError(f"{path} could not be read: {error.strerror or error}") from error
+    except (*BROKEN, DecodeError, ValueError, KeyError, RuntimeError, EOFError) as error:
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path} could not be read as MCAP ({text:.300}); is it whole?") from error
+
+
+def _item(topic: str, schema: str, data: bytes) -> Item:
+    if schema == "foxglove.CompressedImage":
+        image = CompressedImage.FromString(data)
+        return Picture(_stamp(image), image.frame_id, "compressed", image.data)
+    if schema == "foxglove.RawImage":
+        raw = RawImage.FromString(data)
+        return Picture(_stamp(raw), raw.frame_id, raw.encoding, raw.data, raw.width, raw.height, raw.step)
+    if schema == "foxglove.CameraCalibration":
+        c = CameraCalibration.FromString(data)
+        return Calibration(c.frame_id, c.width, c.height, tuple(c.K), tuple(c.D), c.distortion_model, tuple(c.P))
+    if schema == "foxglove.FrameTransforms":
+        return tuple(one for item in FrameTransforms.FromString(data).transforms for one in _transform(item))
+    if schema == "foxglove.FrameTransform":
+        return _transform(FrameTransform.FromString(data))
+    pose = PoseInFrame.FromString(data)
+    return _pose(_stamp(pose), pose.frame_id, topic, pose.pose.position, pose.pose.orientation)
+
+
+def _transform(item: Any) -> tuple[Transform, ...]:
+    return _pose(_stamp(item), item.parent_frame_id, item.child_frame_id, item.translation, item.rotation)
+
+
+def _pose(stamp: int, parent: str, child: str, t: Any, q: Any) -> tuple[Transform, ...]:
+    """One transform; none for numbers that are no pose."""
+    try:
+        pose = Pose((q.x, q.y, q.z, q.w), (t.x, t.y, t.z))
+    except InputError:
+        return ()
+    return (Transform(stamp, parent.lstrip("/"), child.lstrip("/"), pose),)
+
+
+def _stamp(message: Any) -> int:
+    return int(message.timestamp.seconds) * 10**9 + int(message.timestamp.nanos)
