@@ -18,10 +18,13 @@ from openvox.apps.evaluate import evaluate
 from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
 from openvox.apps.sweep import sweep
+from openvox.apps.sweeping import shared
 from openvox.apps.sweeping.plan import Run, parameter_sets
 from openvox.apps.sweeping.pool import in_processes
+from openvox.apps.sweeping.shared import shared_frames
 from openvox.apps.sweeping.summary import best, described_sets, effects
 from openvox.core.errors import InputError
+from openvox.formats.perception import perception_info
 from openvox.formats.recording import RecordingWriter
 
 RUN = Run(preset="openvox", params=None, engine="cpu", start=None, end=None, stride=1)
@@ -253,3 +256,17 @@ def test_a_set_that_failed_somewhere_is_not_ranked() -> None:
     top = best(described)
     assert top is not None
     assert top["set"] == 0
+
+
+def test_frames_are_decoded_once_for_items_of_one_recording(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = perception_info(recording.with_suffix(".perception.mcap"))
+    first = list(shared_frames(recording, found, None, None, 1))
+    assert [frame.index for frame, _ in first] == [0, 1, 2, 3]
+    again = list(shared_frames(recording, found, None, None, 1))
+    assert all(one is other for (one, _), (other, _) in zip(first, again, strict=True))
+    assert [frame.index for frame, _ in shared_frames(recording, found, 1, None, 2)] == [1, 3]
+    monkeypatch.setattr(shared, "LIMIT", 1)
+    longer = list(shared_frames(recording, found, None, None, 1))
+    after = list(shared_frames(recording, found, None, None, 1))
+    assert [frame.index for frame, _ in after] == [0, 1, 2, 3]
+    assert longer[0][0] is not after[0][0]

@@ -51,13 +51,14 @@ def replay(
     start: int | None = None,
     end: int | None = None,
     stride: int = 1,
+    read: Callable[..., Iterator[tuple[Frame, tuple[Mask, ...] | None]]] | None = None,
     progress: Callable[[int, int], None] | None = None,
     notice: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
     """Map a recording and write STEM.map.npz and STEM.trace.mcap; the contract's fields of `replay --json`.
 
-    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. notice: told what takes
-    long. Raises InputError, OutputError."""
+    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. read: instead of
+    joined_frames. notice: told what takes long. Raises InputError, OutputError."""
     parameters = chosen_parameters(preset_name, params, assignments)
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
@@ -88,7 +89,7 @@ def replay(
             from openvox.view.rerun_observer import RerunObserver
 
             observers.append(stack.enter_context(RerunObserver(rerun, voxel_size=parameters.map.voxel_size)))
-        frames = closing(read_ahead(_timed(_joined(recording, found, start, end, stride), watch), 4))
+        frames = closing(read_ahead(_timed((read or joined_frames)(recording, found, start, end, stride), watch), 4))
         run(stack.enter_context(frames), mapper, observers)
         if not counter.frames:
             raise InputError(
@@ -214,7 +215,7 @@ def _check_outputs(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
         taken.add(path.resolve())
 
 
-def _joined(
+def joined_frames(
     recording: Path, found: PerceptionInfo, start: int | None, end: int | None, stride: int
 ) -> Iterator[tuple[Frame, tuple[Mask, ...] | None]]:
     """Every chosen frame with its masks, None where perception did not look. Raises InputError where they disagree."""

@@ -46,7 +46,9 @@ def draw_comparison(a: Drawn, b: Drawn, summary: str, out: Path) -> None:
             for root, one in (("a", a), ("b", b)):
                 recording.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
                 _log_map(recording, root, one)
-            text = rr.TextDocument(f"{_legend()}\n\n{summary}", media_type=rr.MediaType.MARKDOWN)
+            text = rr.TextDocument(
+                f"### Colours\n\n{_legend()}\n\n### What differs\n\n{summary}", media_type=rr.MediaType.MARKDOWN
+            )
             recording.log(LEGEND, text, static=True)
             recording.flush()
             recording.disconnect()
@@ -97,4 +99,4 @@ def _spatial(root: str, title: str, eye: Eye) -> rrb.Spatial3DView:
     controls = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
     )
-    return rrb.Spatial3DView(origin=root, name=title, eye_controls=controls)
+    return rrb.Spatial3DView(origin=root, name=title, eye_controls=controls, line_grid=rrb.LineGrid3D(visible=False))

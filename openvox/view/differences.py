@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 SAME, ELSEWHERE, SPLIT, MERGED, GONE, NEW = range(6)
-COLORS = ((188, 188, 192), (240, 190, 20), (240, 110, 20), (150, 70, 210), (215, 40, 45), (30, 160, 80))
+COLORS = ((188, 188, 192), (240, 190, 20), (240, 110, 20), (175, 100, 240), (235, 60, 60), (40, 180, 95))
 """Red, green, blue of each kind, 0 .. 255."""
 WORDS = (
     "the same instance in both maps",

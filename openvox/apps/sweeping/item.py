@@ -14,6 +14,7 @@ from openvox.apps.scoring.instances import score_instances
 from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.sweeping.plan import Item
+from openvox.apps.sweeping.shared import shared_frames
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.formats.atomic import partial_file
@@ -56,6 +57,7 @@ def _mapped(item: Item) -> dict[str, Any]:
         start=run.start,
         end=run.end,
         stride=run.stride,
+        read=shared_frames,
     )
     digests = {**made["digests"], "perception": item.source.digests["perception"]}
     return {"key": item.key, "digests": digests, **{name: made[name] for name in MAPPED}}
