@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from openvox.apps.retrace import decision_of
 from openvox.core.errors import InputError
-from openvox.core.types import Candidate, Decision, InstanceMap
+from openvox.core.types import InstanceMap
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import perception_info, read_masks
@@ -37,7 +36,7 @@ def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
         raise InputError(f"{map_file}: frame {frame} was not mapped, or nobody looked for masks in it; choose another")
     out = {"map": folder / "map.png", "frame": folder / "frame.png"}
     draw_map(result, out["map"])
-    draw_frame(seen, masks.masks, [_decision(row) for row in step.decisions], result, out["frame"])
+    draw_frame(seen, masks.masks, [decision_of(row) for row in step.decisions], result, out["frame"])
     return {name: str(path) for name, path in out.items()}
 
 
@@ -47,10 +46,3 @@ def _named(map_file: Path, result: InstanceMap, name: str) -> Path:
     if not isinstance(path, str) or not path or Path(path).is_absolute():
         raise InputError(f"{map_file} names no {name} relative to itself; replay it")
     return map_file.parent / path
-
-
-def _decision(row: Mapping[str, Any]) -> Decision:
-    """A decision as it was before the trace wrote it."""
-    fields = {name: row[name] for name in Decision.__dataclass_fields__}
-    candidates = tuple(Candidate(**candidate) for candidate in row["candidates"])
-    return Decision(**{**fields, "held": tuple(row["held"]), "candidates": candidates})

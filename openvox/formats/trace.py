@@ -59,6 +59,8 @@ class TraceFrame:
     """Fields of core.types.Decision, and the mask's caption and kind."""
     events: tuple[Event, ...]
     changes: schemas.VotesChanged
+    regrouped: tuple[tuple[int, int], ...]
+    """(fragment, instance) of each fragment that is new, or changed its instance here; empty in older traces."""
 
 
 def decision_link(previous: str, frame: int, decisions: Sequence[Mapping[str, Any]]) -> str:
@@ -88,6 +90,7 @@ class TraceWriter:
         self.digest = digest
         self.frames = 0
         self._last = (0, 0)
+        self._instance_of: Mapping[int, int] = {}
         self.seconds: list[float] = []
         """Time that each frame took to encode and write."""
 
@@ -140,7 +143,8 @@ class TraceWriter:
         self.frames += 1
         self._last = (step.frame.index, step.frame.stamp_ns)
         number, stamp = step.frame.index, step.frame.stamp_ns
-        self._file.add(schemas.DECISIONS, number, stamp, schemas.encode_decisions(step))
+        self._file.add(schemas.DECISIONS, number, stamp, schemas.encode_decisions(step, self._instance_of))
+        self._instance_of = step.instance_of
         for event in step.events:
             self._file.add(schemas.EVENTS, number, stamp, schemas.encode_event(stamp, event))
         self._file.add(schemas.VOXELS, number, stamp, schemas.encode_changes(stamp, step.changes))
@@ -204,6 +208,7 @@ def frame_of(path: Path, group: Sequence[Message]) -> TraceFrame:
             tuple(content["decisions"]),
             tuple(events),
             changes,
+            tuple((int(fragment), int(instance)) for fragment, instance in content.get("regrouped", ())),
         )
     except (KeyError, ValueError, TypeError, RecursionError, DecodeError) as error:
         raise InputError(f"{where}: the trace cannot be read ({error}); replay again") from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -42,6 +43,7 @@ _SCHEMA = {
         "frame": _INTEGER,
         "looked": {"type": "boolean"},
         "voxels": _INTEGER,
+        "regrouped": {"type": "array", "items": {"type": "array", "items": _INTEGER}},
         "decisions": {"type": "array", "items": {"type": "object", "properties": _DECISION}},
     },
 }
@@ -82,13 +84,22 @@ EVENTS = protobuf_topic("/mapper/events", Log)
 VOXELS = protobuf_topic("/mapper/voxels", _Changes)
 
 
-def encode_decisions(step: Step) -> bytes:
-    """The frame's decisions as JSON, each with its mask's caption and kind for people."""
+def encode_decisions(step: Step, before: Mapping[int, int]) -> bytes:
+    """The frame's decisions as JSON, each with its mask's caption and kind for people, and what became of fragments.
+
+    before: instance of every fragment before the frame; `regrouped` lists (fragment, instance) where that changed."""
     rows = []
     for decision in step.decisions:
         mask = step.masks[decision.mask]
         rows.append({**asdict(decision), "caption": mask.caption, "kind": mask.kind})
-    content = {"frame": step.frame.index, "looked": step.looked, "voxels": step.voxels, "decisions": rows}
+    regrouped = [[f, step.instance_of[f]] for f in sorted(step.instance_of) if step.instance_of[f] != before.get(f)]
+    content = {
+        "frame": step.frame.index,
+        "looked": step.looked,
+        "voxels": step.voxels,
+        "regrouped": regrouped,
+        "decisions": rows,
+    }
     return json.dumps(content, separators=(",", ":")).encode()
 
 

@@ -40,13 +40,15 @@ PATH_COLOR = (255, 196, 0)
 class RerunObserver:
     """Writes `path` (.rrd) while steps come; the file appears when `close` is called, and not at all after `abort`.
 
-    voxel_size: metres. images: log colour, detected and rendered masks (most of the file's size). Use it as a context
-    manager: leaving it before `close` aborts. Raises OutputError where the file cannot be written.
+    voxel_size: metres. images: log colour, detected and rendered masks (most of the file's size). camera: False where
+    steps come without true poses, so that neither frustum nor path is drawn. Use it as a context manager: leaving it
+    before `close` aborts. Raises OutputError where the file cannot be written.
     """
 
-    def __init__(self, path: Path, *, voxel_size: float, images: bool = True) -> None:
+    def __init__(self, path: Path, *, voxel_size: float, images: bool = True, camera: bool = True) -> None:
         self._voxel_size = voxel_size
         self._images = images
+        self._camera = camera
         self._map, self._captions, self._redraw = LiveMap(), Captions(), Redraw()
         self._steps = 0
         self._unsure: set[int] = set()  # instances whose confidences changed since they were drawn
@@ -142,6 +144,8 @@ class RerunObserver:
     def _log_camera(self, frame: Frame) -> None:
         """The frustum, and this frame's piece of the trajectory."""
         last, self._frame = self._frame, frame
+        if not self._camera:
+            return
         camera, pose = frame.rig.color, world_from_color(frame)
         if last is None or last.rig.color != camera:
             self._log(entities.CAMERA, _pinhole(camera))

@@ -18,7 +18,9 @@ from openvox.cli.commands import (
     query,
     recover,
     replay,
+    shot,
     sweep,
+    view,
 )
 
 app = typer.Typer(
@@ -61,5 +63,7 @@ for command, examples in (
     (compare.compare, compare.EXAMPLES),
     (export.export, export.EXAMPLES),
     (info.info, info.EXAMPLES),
+    (view.view, view.EXAMPLES),
+    (shot.shot, shot.EXAMPLES),
 ):
     app.command(epilog=_examples(examples))(command)

@@ -1,0 +1,186 @@
+"""Pictures of the Rerun viewer without a screen: started, told what to show, waited for until nothing changes."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.errors import InputError
+from openvox.formats.atomic import partial_file
+from openvox.view import entities
+from openvox.view.viewer import LOOPBACK, Process, free_port, running
+
+SETTLED = 1e-4
+"""Share of pixels that may differ between two pictures of which nothing moved."""
+QUIET_SECONDS = 6.0
+"""So long after its first picture the messages of the viewer's start have left it."""
+PATIENCE = 90.0
+TRIES = 2
+"""The software renderer is known to crash now and then."""
+PACKAGES = "mesa-vulkan-drivers and libvulkan1 (Debian, Ubuntu) or mesa-vulkan-drivers and vulkan-loader (Fedora)"
+
+
+class _ViewerDiedError(Exception):
+    """The viewer ended, or never showed a picture."""
+
+
+def take_shot(rrd: Path, out: Path, *, frame: int | None, view: str | None, size: tuple[int, int]) -> dict[str, Any]:
+    """Write a PNG of the whole layout, or of the view of that name, at a frame (None: the last one).
+
+    size: of the window, (width, height). Returns what was shown: frame, view, size of the picture. Raises InputError:
+    the machine cannot, or the file has no such frame or view; OutputError."""
+    check_machine()
+    for left in reversed(range(TRIES)):
+        try:
+            return _try_shot(rrd, out, frame, view, size)
+        except _ViewerDiedError as error:
+            if not left:
+                raise InputError(
+                    f"{rrd.name}: the Rerun viewer showed no picture in {TRIES} tries ({error}); install {PACKAGES}, "
+                    "or try again when the machine is less busy"
+                ) from None
+    raise AssertionError("unreachable")
+
+
+def check_machine() -> None:
+    """Raises InputError where no picture can be drawn."""
+    if vulkan_devices() == 0:
+        raise InputError(f"no picture can be drawn here: there is no Vulkan device; install {PACKAGES}")
+
+
+def vulkan_devices() -> int:
+    """Number of devices that Vulkan finds, software included; 0 without a loader or driver."""
+    name = ctypes.util.find_library("vulkan")
+    if name is None:
+        return 0
+    try:
+        vulkan = ctypes.CDLL(name)
+    except OSError:
+        return 0
+    instance, count = ctypes.c_void_p(), ctypes.c_uint32()
+    info = (ctypes.c_uint64 * 8)(1)  # VkInstanceCreateInfo: its type, and nothing asked for
+    if vulkan.vkCreateInstance(ctypes.byref(info), None, ctypes.byref(instance)):
+        return 0
+    found = vulkan.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
+    vulkan.vkDestroyInstance(instance, None)
+    return 0 if found else count.value
+
+
+def _try_shot(rrd: Path, out: Path, frame: int | None, view: str | None, size: tuple[int, int]) -> dict[str, Any]:
+    with _viewer(rrd, size) as (viewer, process, deadline):
+        state = _loaded(viewer, process, deadline)
+        shown = _go_to(viewer, rrd, state, frame)
+        view_id = _view_id(rrd, state, view)
+        picture = _settled(viewer, process, view_id, deadline)
+    with partial_file(out) as partial:
+        partial.write_bytes(picture)
+    height, width = _pixels(picture).shape[:2]
+    return {"frame": shown, "view": view, "size": [width, height]}
+
+
+@contextmanager
+def _viewer(rrd: Path, size: tuple[int, int]) -> Iterator[tuple[Any, Process, float]]:
+    """A headless viewer with the file open, its process, and when patience ends."""
+    from rerun.experimental import ViewerClient
+
+    port, deadline = free_port(LOOPBACK), time.monotonic() + PATIENCE
+    window = f"{size[0]}x{size[1]}"
+    arguments = ["--headless", "--bind", LOOPBACK, "--port", str(port), "--window-size", window]
+    with running([*arguments, "--hide-welcome-screen"]) as process:
+        while True:
+            try:
+                viewer = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
+                viewer.open(str(rrd.resolve()))
+                break
+            except (ConnectionError, RuntimeError, OSError) as error:
+                _check(process, deadline, error)
+                time.sleep(0.2)
+        yield viewer, process, deadline
+
+
+def _check(process: Process, deadline: float, error: object) -> None:
+    if process.poll() is not None:
+        raise _ViewerDiedError(f"it ended with {process.returncode}")
+    if time.monotonic() > deadline:
+        raise _ViewerDiedError(f"nothing settled in {PATIENCE:.0f} s: {error}")
+
+
+def _loaded(viewer: Any, process: Process, deadline: float) -> Any:
+    """The viewer's state when all of the file has arrived."""
+    before = None
+    while True:
+        with suppress(ConnectionError, RuntimeError, OSError):
+            state = viewer.get_state()
+            if state.views and state.recordings and not state.loading and state.recordings == before:
+                return state
+            before = state.recordings
+        _check(process, deadline, "loading")
+        time.sleep(0.3)
+
+
+def _go_to(viewer: Any, rrd: Path, state: Any, frame: int | None) -> int | None:
+    """Set the time; returns the frame, None for a file without frames. Raises InputError."""
+    active = [found for found in state.recordings if found.store_id == state.active_recording]
+    lines = [line for found in active for line in found.timelines if line.name == entities.FRAME]
+    if not lines:
+        if frame is not None:
+            raise InputError(f"{rrd.name} has no frames, as a map has none; leave --frame out")
+        return None
+    first, last = lines[0].start, lines[0].end
+    if frame is not None and not first <= frame <= last:
+        raise InputError(f"{rrd.name} has frames {first} to {last}; frame {frame} is none of them")
+    chosen = last if frame is None else frame
+    viewer.set_time(entities.FRAME, sequence=chosen, play_state="paused")
+    return int(chosen)
+
+
+def _view_id(rrd: Path, state: Any, name: str | None) -> str | None:
+    """The view of that name, or the only one whose name holds it, in any case. Raises InputError."""
+    if name is None:
+        return None
+    names = {view.name: str(view.view_id) for view in state.views}
+    near = [found for found in names if name.casefold() in found.casefold()]
+    if name in names or len(near) == 1:
+        return names[name if name in names else near[0]]
+    known = "; ".join(sorted(names))
+    raise InputError(f"{rrd.name} has {'several views' if near else 'no view'} {name!r}; its views: {known}")
+
+
+def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float) -> bytes:
+    """A picture equal to the one before, and not of one colour."""
+    quiet, last = float("inf"), None
+    while True:
+        try:
+            picture: bytes = viewer.take_screenshot(view_id=view_id)
+            pixels = _pixels(picture)
+        except (ConnectionError, RuntimeError, OSError, TimeoutError) as error:
+            _check(process, deadline, error)
+            time.sleep(0.3)
+            continue
+        same = last is not None and last.shape == pixels.shape and float((last != pixels).any(-1).mean()) < SETTLED
+        if same and time.monotonic() > quiet and not is_blank(pixels) and not viewer.get_state().loading:
+            return picture
+        if last is None:
+            quiet = time.monotonic() + (QUIET_SECONDS if view_id is None else 0.0)
+        last = pixels
+        _check(process, deadline, "the picture is blank" if is_blank(pixels) else "the picture kept changing")
+        time.sleep(0.3)
+
+
+def is_blank(pixels: NDArray[np.uint8]) -> bool:
+    """Whether nearly every pixel has one colour: an empty window."""
+    colors = pixels.reshape(-1, 3).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+    return bool(np.unique(colors, return_counts=True)[1].max() > 0.999 * len(colors))
+
+
+def _pixels(png: bytes) -> NDArray[np.uint8]:
+    return np.asarray(cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR), np.uint8)

@@ -1,0 +1,77 @@
+"""shot: pictures without a screen where the machine can, and a sentence where it cannot."""
+
+from __future__ import annotations
+
+import ctypes.util
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from maps import small_map
+
+from openvox.apps.shot import shot
+from openvox.apps.view import as_rrd
+from openvox.cli.commands.shot import parsed_size
+from openvox.core.errors import InputError
+from openvox.formats.map_npz import write_map
+from openvox.view.screenshot import is_blank, vulkan_devices
+
+needs_vulkan = pytest.mark.skipif(vulkan_devices() == 0, reason="no Vulkan device: install mesa-vulkan-drivers")
+
+
+@pytest.fixture(scope="module")
+def map_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A map of four voxels."""
+    path = tmp_path_factory.mktemp("shot") / "a.map.npz"
+    write_map(path, small_map())
+    yield path
+
+
+@needs_vulkan
+def test_a_map_becomes_a_picture_of_the_size_asked_for(map_file: Path, tmp_path: Path) -> None:
+    made = shot(map_file, tmp_path / "a.png", size=(640, 400))
+    picture = cv2.imread(str(tmp_path / "a.png"))
+    assert picture is not None and picture.shape == (400, 640, 3) and not is_blank(np.asarray(picture, np.uint8))
+    assert (made["kind"], made["frame"], made["size"]) == ("map", None, [640, 400])
+
+
+@needs_vulkan
+def test_a_wrong_view_or_frame_is_one_sentence_and_no_picture(map_file: Path, tmp_path: Path) -> None:
+    rrd = as_rrd(map_file, tmp_path / "a.rrd")
+    with pytest.raises(InputError, match="a.rrd has no view 'nowhere'; its views: Instances; Map, coloured by"):
+        shot(rrd, tmp_path / "a.png", view="nowhere")
+    with pytest.raises(InputError, match="a.rrd has no frames, as a map has none"):
+        shot(rrd, tmp_path / "a.png", frame=3)
+    assert not list(tmp_path.glob("a.png*"))
+
+
+def test_a_machine_without_vulkan_is_told_what_to_install(
+    map_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    with pytest.raises(InputError, match="no picture can be drawn here: .* install mesa-vulkan-drivers and libvulkan1"):
+        shot(map_file, tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_foreign_file_is_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("hello")
+    with pytest.raises(InputError, match="a.txt is no recording, perception, map, trace or .rrd"):
+        shot(tmp_path / "a.txt", tmp_path / "a.png")
+
+
+def test_an_empty_window_is_no_picture() -> None:
+    window = np.full((200, 200, 3), 13, np.uint8)
+    assert is_blank(window)
+    window[50:80, 50:80] = 200
+    assert not is_blank(window)
+
+
+def test_a_size_is_two_numbers_that_a_window_can_have() -> None:
+    assert parsed_size("1600x900") == (1600, 900)
+    for text in ("1600", "axb", "0x0", "1600x900x3", "-5x900", "99999x900"):
+        with pytest.raises(typer.BadParameter, match="expected WxH"):
+            parsed_size(text)
