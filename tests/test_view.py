@@ -109,7 +109,7 @@ def test_a_trace_alone_is_shown_without_pictures_and_says_so(folder: Path) -> No
     shown = rows(as_rrd(folder / "tiny.trace.mcap", folder / "again.rrd", notice=said.append))
     expected = rows(folder / "tiny.rrd")
     assert said == [f"the recording {folder / 'tiny.mcap'} is not there: shown without pictures"]
-    entities = {entity for entity, _, _ in shown}
+    entities = {entity for entity, frame, _ in shown if frame is not None}
     assert not any(entity.startswith("/camera") or entity == "/world/trajectory" for entity in entities)
     for key in expected:
         if key[0] == "/world/voxel_states" or key[0].startswith("/world/instances") or key[0] == "/events":
@@ -161,7 +161,7 @@ def test_a_map_is_shown_by_instance_with_captions_and_what_belongs_to_none(tmp_p
     shown = rows(as_rrd(tmp_path / "a.map.npz", tmp_path / "a.rrd"))
     assert shown["/world/instances/0005", None, "caption"] == ["['ein grüner Stuhl']"]
     assert shown["/world/instances/0002", None, "instance"] == ["[2]"]
-    cells = {path: values[0] for (path, _, name), values in shown.items() if name == "VoxelGridMap:indices"}
+    cells = {path: values[0] for (path, _, name), values in shown.items() if name == "VoxelGridMap:voxel_indices"}
     assert cells["/world/instances/0002"] == "[[-1, 0, 0], [0, 0, 1]]"
     assert cells["/world/structure"] == "[[3, 0, 0]]"
 

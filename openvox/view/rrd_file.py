@@ -13,7 +13,6 @@ from openvox.core.errors import OutputError
 from openvox.formats.atomic import partial_file
 from openvox.view import entities
 
-START_OF_FILE = b"RRF2"
 END_OF_FILE = b"RRF2FOOT"
 """Near the end of every file that was closed."""
 
