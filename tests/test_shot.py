@@ -27,14 +27,16 @@ def map_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A map of four voxels."""
     path = tmp_path_factory.mktemp("shot") / "a.map.npz"
     write_map(path, small_map())
-    yield path
+    return path
 
 
 @needs_vulkan
 def test_a_map_becomes_a_picture_of_the_size_asked_for(map_file: Path, tmp_path: Path) -> None:
     made = shot(map_file, tmp_path / "a.png", size=(640, 400))
     picture = cv2.imread(str(tmp_path / "a.png"))
-    assert picture is not None and picture.shape == (400, 640, 3) and not is_blank(np.asarray(picture, np.uint8))
+    assert picture is not None
+    assert picture.shape == (400, 640, 3)
+    assert not is_blank(np.asarray(picture, np.uint8))
     assert (made["kind"], made["frame"], made["size"]) == ("map", None, [640, 400])
 
 
@@ -42,10 +44,10 @@ def test_a_map_becomes_a_picture_of_the_size_asked_for(map_file: Path, tmp_path:
 def test_a_wrong_view_or_frame_is_one_sentence_and_no_picture(map_file: Path, tmp_path: Path) -> None:
     rrd = as_rrd(map_file, tmp_path / "a.rrd")
     with pytest.raises(
-        InputError, match="a.rrd has no view 'nowhere'; its views: Instances; Map with .*; Map, coloured by"
+        InputError, match=r"a.rrd has no view 'nowhere'; its views: Instances; Map with .*; Map, coloured by"
     ):
         shot(rrd, tmp_path / "a.png", view="nowhere")
-    with pytest.raises(InputError, match="a.rrd has no frames, as a map has none"):
+    with pytest.raises(InputError, match=r"a.rrd has no frames, as a map has none"):
         shot(rrd, tmp_path / "a.png", frame=3)
     assert not list(tmp_path.glob("a.png*"))
 
@@ -54,14 +56,16 @@ def test_a_machine_without_vulkan_is_told_what_to_install(
     map_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
-    with pytest.raises(InputError, match="no picture can be drawn here: .* install mesa-vulkan-drivers and libvulkan1"):
+    with pytest.raises(
+        InputError, match=r"no picture can be drawn here: .* install mesa-vulkan-drivers and libvulkan1"
+    ):
         shot(map_file, tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_foreign_file_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(InputError, match="a.txt is no recording, perception, map, trace or .rrd"):
+    with pytest.raises(InputError, match=r"a.txt is no recording, perception, map, trace or .rrd"):
         shot(tmp_path / "a.txt", tmp_path / "a.png")
 
 
@@ -75,5 +79,5 @@ def test_an_empty_window_is_no_picture() -> None:
 def test_a_size_is_two_numbers_that_a_window_can_have() -> None:
     assert parsed_size("1600x900") == (1600, 900)
     for text in ("1600", "axb", "0x0", "1600x900x3", "-5x900", "99999x900"):
-        with pytest.raises(typer.BadParameter, match="expected WxH"):
+        with pytest.raises(typer.BadParameter, match=r"expected WxH"):
             parsed_size(text)

@@ -120,7 +120,8 @@ def test_the_recording_of_a_trace_may_lie_elsewhere_but_must_be_the_same(folder:
     moved = (folder / "tiny.mcap").rename(folder / "moved.mcap")
     said: list[str] = []
     shown = as_rrd(folder / "tiny.trace.mcap", folder / "again.rrd", moved, said.append)
-    assert rows(shown) == rows(folder / "tiny.rrd") and not said
+    assert rows(shown) == rows(folder / "tiny.rrd")
+    assert not said
     with RecordingWriter(folder / "other.mcap", source="test") as writer:
         writer.add(tiny_frames(1)[0])
     with pytest.raises(InputError, match=r"other.mcap is another recording than that of .*tiny.trace.mcap"):
@@ -129,10 +130,10 @@ def test_the_recording_of_a_trace_may_lie_elsewhere_but_must_be_the_same(folder:
 
 def test_a_trace_needs_the_map_of_its_run(folder: Path) -> None:
     write_map(folder / "tiny.map.npz", small_map())
-    with pytest.raises(InputError, match="tiny.map.npz is of another run than"):
+    with pytest.raises(InputError, match=r"tiny.map.npz is of another run than"):
         as_rrd(folder / "tiny.trace.mcap", folder / "again.rrd")
     (folder / "tiny.map.npz").unlink()
-    with pytest.raises(InputError, match="its map .* is not there; put it beside the trace"):
+    with pytest.raises(InputError, match=r"its map .* is not there; put it beside the trace"):
         as_rrd(folder / "tiny.trace.mcap", folder / "again.rrd")
     assert not list(folder.glob("again.rrd*"))
 
@@ -168,9 +169,9 @@ def test_a_map_is_shown_by_instance_with_captions_and_what_belongs_to_none(tmp_p
 
 def test_a_foreign_file_is_one_sentence_that_names_what_can_be_shown(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(InputError, match="a.txt is no recording, perception, map, trace or .rrd"):
+    with pytest.raises(InputError, match=r"a.txt is no recording, perception, map, trace or .rrd"):
         view([tmp_path / "a.txt"])
-    with pytest.raises(InputError, match="missing.mcap cannot be read"):
+    with pytest.raises(InputError, match=r"missing.mcap cannot be read"):
         kind(tmp_path / "missing.mcap")
 
 
@@ -178,15 +179,15 @@ def test_without_a_screen_it_says_what_else_there_is(folder: Path, monkeypatch: 
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(InputError, match="there is no screen here; use --web .* --save OUT.rrd .* openvox shot"):
+    with pytest.raises(InputError, match=r"there is no screen here; use --web .* --save OUT.rrd .* openvox shot"):
         view([folder / "tiny.trace.mcap"])
 
 
 def test_save_never_overwrites_its_input_and_takes_one_file(folder: Path) -> None:
-    with pytest.raises(InputError, match="--save writes one file, 2 were given"):
+    with pytest.raises(InputError, match=r"--save writes one file, 2 were given"):
         view([folder / "tiny.mcap", folder / "tiny.map.npz"], save=folder / "a.rrd")
     before = (folder / "tiny.rrd").read_bytes()
-    with pytest.raises(InputError, match="is an .rrd already"):
+    with pytest.raises(InputError, match=r"is an .rrd already"):
         view([folder / "tiny.rrd"], save=folder / "a.rrd")
     assert (folder / "tiny.rrd").read_bytes() == before
 
@@ -222,7 +223,8 @@ def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_ctrl_c(
         assert b"rerun" in page.read().lower()
     ours = family(process.pid)
     listening = [address for pid in ours for address in listeners(pid)]
-    assert len(listening) == 2 and set(listening) == {"0100007F"}  # 127.0.0.1, in the kernel's order of bytes
+    assert len(listening) == 2
+    assert set(listening) == {"0100007F"}
     process.send_signal(signal.SIGINT)
     assert process.wait(20) == 0
     assert not any(Path(f"/proc/{pid}").exists() for pid in ours)
