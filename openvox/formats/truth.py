@@ -1,4 +1,4 @@
-"""Ground truth in a folder: gt_points.npz, and if they are there objects.json and queries.json."""
+"""Ground truth in a folder: gt_points.npz, objects.json and queries.json if they are there; or a data set's mesh."""
 
 from __future__ import annotations
 
@@ -57,9 +57,16 @@ class Truth:
 def read_truth(folder: Path, queries: Path | None = None) -> Truth:
     """The truth of a folder; `queries` replaces its queries.json. Raises InputError."""
     path = folder / "gt_points.npz"
+    asked = read_queries(queries or folder / "queries.json", missing_is_none=queries is None)
     if not path.exists():
+        from openvox.formats.truth_meshes import mesh_truth  # which is made of this module's types
+
+        found = mesh_truth(folder, asked)
+        if found is not None:
+            return found
         raise InputError(
-            f"{folder} has no gt_points.npz; expected points with instances there, or name a recording with truth"
+            f"{folder} has no gt_points.npz; expected points with instances there (or ScanNet's or Replica's mesh with "
+            "annotations), or name a recording with truth"
         )
     arrays = read_arrays(path, lambda name: name in ("points", "instance", "category"))
     arrays = {name: _plain(path, name, array) for name, array in arrays.items()}
@@ -74,7 +81,7 @@ def read_truth(folder: Path, queries: Path | None = None) -> Truth:
         instance=arrays["instance"],
         category=arrays.get("category"),
         objects=objects,
-        queries=read_queries(queries or folder / "queries.json", missing_is_none=queries is None),
+        queries=asked,
         categories=categories,
     )
 
@@ -83,7 +90,7 @@ def read_queries(path: Path, *, missing_is_none: bool = False) -> tuple[Query, .
     """Queries of a JSON file: {"queries": [{"type", "text", "instances"}]}. Raises InputError."""
     if missing_is_none and not path.exists():
         return ()
-    entries = _read_object(path).get("queries")
+    entries = read_object(path).get("queries")
     if not isinstance(entries, list):
         raise InputError(f'{path} has no list "queries"; expected {{"queries": [{{"type", "text", "instances"}}]}}')
     return tuple(_query(entry, f"{path}: query {number}") for number, entry in enumerate(entries))
@@ -101,7 +108,7 @@ def _read_objects(path: Path) -> tuple[tuple[TrueObject, ...], dict[int, str]]:
     """Objects by id, and names of categories by number; nothing without the file."""
     if not path.exists():
         return (), {}
-    content = _read_object(path)
+    content = read_object(path)
     entries, named = content.get("objects", []), content.get("categories", {})
     if not isinstance(entries, list) or not isinstance(named, dict):
         raise InputError(f'{path}: expected "objects", a list, and "categories", an object of name to number')
@@ -131,7 +138,8 @@ def _plain(path: Path, name: str, array: NDArray[Any]) -> NDArray[Any]:
     return array.astype(np.int64)
 
 
-def _read_object(path: Path) -> dict[str, Any]:
+def read_object(path: Path) -> dict[str, Any]:
+    """A JSON object of a file that is not huge. Raises InputError."""
     try:
         size = path.stat().st_size
         if size > MAX_TEXT_BYTES:
