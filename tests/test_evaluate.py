@@ -225,10 +225,10 @@ A, B, C, OTHER = np.eye(4, dtype=np.float32)
 
 
 def words_map(features: dict[int, NDArray[np.float32]]) -> InstanceMap:
-    """Instances with these features, a voxel each."""
+    """Instances with these features and without captions, a voxel each."""
     ids = sorted(features)
     index = np.array([[i, 0, 0] for i in ids], np.int32).reshape(-1, 3)
-    return labelled_map(index, np.array(ids, np.int32), features=features)
+    return labelled_map(index, np.array(ids, np.int32), captions=dict.fromkeys(ids, ""), features=features)
 
 
 def words_truth(instance: list[int], category: list[int], categories: dict[int, str]) -> Truth:
@@ -464,7 +464,14 @@ def test_a_folder_without_pictures_has_no_rendered_masks_and_words_score_with_th
     label = np.zeros(len(index), np.int32)
     label[inverse] = truth.instance
     lamp, mug = encoder("minilm").encode(["a small desk lamp", "a coffee mug"])
-    result = labelled_map(index, label, voxel_size=0.01, features={4: lamp, 9: mug}, meta={**META, "encoder": "minilm"})
+    result = labelled_map(
+        index,
+        label,
+        voxel_size=0.01,
+        captions={4: "a desk lamp", 9: "a mug"},
+        features={4: lamp, 9: mug},
+        meta={**META, "encoder": "minilm"},
+    )
     write_map(tmp_path / "a.map.npz", result)
     scores = evaluate(tmp_path / "a.map.npz", truth=folder)
     assert scores["rendered_masks"] is None

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from maps import META, labelled_map
 
-from openvox.apps.query import query
+from openvox.apps.query import FITS, query
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
 from openvox.formats.map_npz import write_map
@@ -48,20 +48,32 @@ def test_the_best_instance_comes_first_with_where_it_is(map_file: Path) -> None:
     assert best["bounds"] == [[0, 0, 0], [pytest.approx(0.2), pytest.approx(0.1), pytest.approx(0.1)]]
 
 
-def test_scores_are_cosines_and_fall(map_file: Path) -> None:
+def test_scores_say_how_well_an_answer_fits_and_fall(map_file: Path) -> None:
     texts = ["something to drink from", "a plant"]
     drink, plant = query(map_file, texts, top=9)["queries"]
     assert [one["answers"][0]["instance"] for one in (drink, plant)] == [5, 9]
     scores = [one["score"] for one in drink["answers"]]
     assert len(scores) == 3
     assert scores == sorted(scores, reverse=True)
-    text, mug = encoder("minilm").encode([texts[0], CAPTIONS[5]])
-    assert scores[0] == pytest.approx(float(text @ mug), abs=1e-6)
+
+
+def test_what_is_not_there_is_not_found_and_the_nearest_are_told(map_file: Path) -> None:
+    there, missing = query(map_file, ["a sofa", "a fire extinguisher"])["queries"]
+    assert there["found"]
+    assert not missing["found"]
+    assert len(missing["answers"]) == 3
+    assert missing["answers"][0]["score"] < FITS <= there["answers"][0]["score"]
 
 
 def test_equal_instances_come_by_id(tmp_path: Path) -> None:
     vector = encoder("minilm").encode(["a chair"])[0]
-    result = labelled_map(INDEX, LABEL, features=dict.fromkeys((2, 5, 9), vector), meta={"encoder": "minilm"})
+    result = labelled_map(
+        INDEX,
+        LABEL,
+        features=dict.fromkeys((2, 5, 9), vector),
+        captions=dict.fromkeys((2, 5, 9), "a chair"),
+        meta={"encoder": "minilm"},
+    )
     write_map(tmp_path / "a.map.npz", result)
     (answer,) = query(tmp_path / "a.map.npz", ["a chair"])["queries"]
     assert [one["instance"] for one in answer["answers"]] == [2, 5, 9]

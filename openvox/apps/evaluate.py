@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.apps.ranking import Encoder
 from openvox.apps.scoring.calibration import expected_calibration_error
 from openvox.apps.scoring.instances import InstanceScore, Overlaps, score_instances
 from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.scoring.rendered import perception_of, score_rendered
-from openvox.apps.scoring.semantics import Encoder, read_classes, recalls, retrieve, score_semantics
+from openvox.apps.scoring.semantics import read_classes, recalls, retrieve, score_semantics
 from openvox.apps.words import encoder_of
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap

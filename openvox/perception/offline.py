@@ -108,7 +108,7 @@ def _captioned(mask: Mask, thing: Thing, parts: Parts, word: Word, color: str) -
     kind: MaskKind = "object" if thing.box else "region" if thing.regions[0] <= parts.pieces else "support"
     return dataclasses.replace(
         mask,
-        score=thing.box.score if thing.box else SCORE,
+        score=SCORE,
         label=noun or form.thing,
         caption=Form("", noun, "").caption(color) if noun else form.caption(color),
         caption_score=score,

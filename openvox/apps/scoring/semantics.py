@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.apps.ranking import Encoder, cosines, likeness, ranked
 from openvox.apps.scoring.instances import Overlaps
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
@@ -20,13 +20,6 @@ QUERY_TYPES = ("ontology", "relevance", "functionality")
 OVERLAP = 0.25
 """IoU above which an instance is an acceptable object."""
 MAX_CLASSES_BYTES = 1 << 20
-
-
-class Encoder(Protocol):
-    """Texts to unit vectors."""
-
-    def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
-        """(n, dimensions) float32."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +56,6 @@ def spoken(name: str) -> str:
     return name.replace("_", " ").strip().casefold()
 
 
-def cosines(feature: NDArray[np.float32], vectors: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(T, K): likeness of each of T texts to each of K instances; summed in float64 in a fixed order."""
-    if not len(feature):  # a map without instances need not know how long its features would be
-        return np.zeros((len(vectors), 0))
-    return np.asarray(np.einsum("td,kd->tk", vectors.astype(np.float64), feature.astype(np.float64), optimize=False))
-
-
-def ranked(cosine: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Rows of the instances, the most alike first, the lower id among equals. cosine: (K,), rows ascend by id."""
-    return np.argsort(-cosine, kind="stable").astype(np.int64)
-
-
 def score_semantics(
     truth: Truth, labels: NDArray[np.int64], result: InstanceMap, encoder: Encoder, classes: Sequence[str] | None
 ) -> Semantics | None:
@@ -109,8 +90,8 @@ def _nearest_category(
 ) -> NDArray[np.int64]:
     """(K,) number of the category of each instance: the first text on a tie; background if it has no feature."""
     order = np.argsort(candidates, kind="stable")
-    likeness = cosines(result.feature, encoder.encode(texts))[order]
-    nearest = candidates[order][np.argmax(likeness, axis=0)]  # there is at least one text
+    cosine = cosines(result.feature, encoder.encode(texts))[order]
+    nearest = candidates[order][np.argmax(cosine, axis=0)]  # there is at least one text
     return np.where(result.feature.any(1), nearest, BACKGROUND)
 
 
@@ -142,10 +123,9 @@ def retrieve(
 ) -> tuple[Retrieved, ...]:
     """All instances ranked by each query; acceptable is one that overlaps an object named with IoU > 0.25."""
     iou, ids = overlaps.iou(), result.instance_id
-    likeness = cosines(result.feature, encoder.encode([query.text for query in queries]))
     found = []
-    for query, cosine in zip(queries, likeness, strict=True):
-        ranking = ids[ranked(cosine)]
+    for query, scores in zip(queries, likeness(result, encoder, [query.text for query in queries]), strict=True):
+        ranking = ids[ranked(scores)]
         wanted = np.isin(overlaps.true_ids, query.instances)
         good = overlaps.ids[(iou[wanted] > OVERLAP).any(0)]
         hits = np.flatnonzero(np.isin(ranking, good))

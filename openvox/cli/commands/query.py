@@ -28,7 +28,7 @@ def query(
 def print_result(data: tables.Data) -> None:
     """The answers of each text, best first."""
     for asked in data["queries"]:
-        if not asked["found"]:
+        if not asked["answers"]:
             print(f"{asked['text']!r}: the map has no instances")
             continue
         tables.print_table(
@@ -37,5 +37,5 @@ def print_result(data: tables.Data) -> None:
                 [a["instance"], a["caption"], a["score"], [f"{x:.2f}" for x in a["center"]], a["voxels"]]
                 for a in asked["answers"]
             ],
-            repr(asked["text"]),
+            repr(asked["text"]) if asked["found"] else f"{asked['text']!r}: nothing fits well; the nearest are",
         )
