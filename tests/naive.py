@@ -103,6 +103,7 @@ class Twin:
             self.cut(masks, areas, view, choices)
         if self.p.lifecycle.evidence:
             self.count_pairs(masks, areas, choices)
+            self.count_omissions(masks, areas, view, choices)
         in_view = sum((self.overlaps(voxels) for voxels in (*view.under, view.bare)), Counter[int]())
         self.vote(view, choices)
         for f, voxels in in_view.items():
@@ -284,6 +285,28 @@ class Twin:
                     amount = int(only_regions)
                 amounts.append(2 * amount if {a, b} & supports else amount)
             self.apart[f, g] += max(amounts)
+
+    def count_omissions(
+        self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]
+    ) -> None:
+        """A mask that covers one fragment leaves another, which no mask holds, in view out: seen apart."""
+        common = [self.overlaps(voxels) for voxels in view.under]
+        in_view = sum(common, self.overlaps(view.bare))
+        held = {f for choice in choices for f in choice.held}
+        for f, g in sorted({*self.together, *((b, a) for a, b in self.together)}):
+            if g in held or in_view[g] < 4:
+                continue
+            says = [
+                m
+                for m in areas
+                if f in choices[m].held
+                and in_view[f]
+                and 2 * common[m][f] >= in_view[f]
+                and 4 * common[m][g] < in_view[g]
+                and not (self.p.lifecycle.kinds and masks[m].kind == "region")
+            ]
+            if says:
+                self.apart[min(f, g), max(f, g)] += self.p.lifecycle.omission
 
     def vote(self, view: View, choices: Sequence[Choice]) -> None:
         """Eq. 14: every voxel under a mask votes; with the background rule, voxels under none as well."""

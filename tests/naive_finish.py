@@ -62,16 +62,18 @@ def parts(voxels: Collection[Voxel]) -> Iterator[set[Voxel]]:
         yield part
 
 
-def confidence(voxels: Collection[Voxel], share: Mapping[Voxel, int], group: list[Piece], p: FinishParameters) -> int:
-    """Mean theta; with existence times k/(k+2), k/v and the mean score: k frames matched it, v frames saw it."""
-    mean = sum(share[voxel] for voxel in voxels) // len(voxels)
-    if not p.existence:
-        return mean
+def mean_theta(voxels: Collection[Voxel], share: Mapping[Voxel, int]) -> int:
+    return sum(share[voxel] for voxel in voxels) // len(voxels)
+
+
+def existence(theta: int, group: list[Piece], everything: Collection[Piece]) -> int:
+    """Mean theta times k/(k+2), k/v and the squared relative score: k frames matched it, v frames saw it."""
     matched, seen = frames(group)
     k, v = len(matched), max(1, len(seen))
-    observations = sum(piece.observations for piece in group)
-    score = sum(piece.score for piece in group) // observations if observations else 0
-    return mean * k * k * score // ((k + 2) * v * 4096)
+    score, masks = sum(piece.score for piece in group), sum(piece.observations for piece in group)
+    scores, every = sum(piece.score for piece in everything), sum(piece.observations for piece in everything)
+    relative = min(ONE, score * every * ONE // max(1, scores * masks))
+    return theta * k * k * relative**2 // ((k + 2) * v) // ONE**2
 
 
 def frames(group: list[Piece]) -> tuple[set[int], set[int]]:
@@ -116,9 +118,11 @@ def finish(
         voxels = {voxel for voxel in order if shown[voxel] == instance}
         kept = kept_voxels(voxels, group, p.finish) if p.finish.existence else voxels
         if kept:
-            ranks[instance] = confidence(kept, {voxel: share(voxel) for voxel in kept}, group, p.finish)
-        if p.finish.existence and ranks.get(instance, 0) < round(p.finish.min_confidence * ONE):
-            kept = set()
+            theta = mean_theta(kept, {voxel: share(voxel) for voxel in kept})
+            sure = existence(theta, group, fragments.values())
+            ranks[instance] = sure * theta * len(kept) // (len(kept) + 10) // ONE if p.finish.existence else theta
+            if p.finish.existence and sure < round(p.finish.min_confidence * ONE):
+                kept = set()
         shown.update((voxel, 0) for voxel in voxels - kept)
     ids = sorted(set(shown.values()) - {0})
     used = sorted({f for voxel in order for f in votes[voxel] if f})

@@ -172,23 +172,32 @@ def test_confidence_in_paper_is_the_mean_share() -> None:
     assert result.instance_confidence.tolist() == [0.75]  # shares 1 and 1/2
 
 
-def test_confidence_in_openvox_weighs_frames_and_score() -> None:
-    # share 1, matched in k = 2 of v = 4 frames, score 0.5: 1 x 2/4 x 2/4 x 0.5
+def test_confidence_in_openvox_weighs_frames_and_size() -> None:
+    # share 1, matched in k = 2 of v = 4 frames: existence 1 x 2/4 x 2/4; one voxel is mostly rim: x 1/11
     fragments = {1: fragment(1, matched=0b0011, seen=0b1110, score=0.5)}
     result = finished(line({1: 2}), {1: 1}, openvox(), fragments)
-    assert result.instance_confidence.tolist() == [0.125]
+    assert result.instance_confidence[0] == pytest.approx(0.25 / 11, abs=1e-5)
+
+
+def test_a_score_counts_against_those_of_all_masks_and_squared() -> None:
+    # matched in 2 of 2 frames each; scores 0.5 and 1.0, mean 0.75: the lower counts (2/3)^2, the other no more than 1
+    fragments = {1: fragment(1, matched=3, seen=3, score=0.5), 2: fragment(2, matched=3, seen=3, score=1.0)}
+    result = finished(line({1: 2}, {}, {}, {2: 2}), {1: 1, 2: 2}, openvox(), fragments)
+    low, high = result.instance_confidence.tolist()
+    assert high == pytest.approx(0.5 / 11, abs=1e-5)
+    assert low == pytest.approx(0.5 / 11 * 4 / 9, abs=1e-5)
 
 
 def test_frames_that_matched_several_fragments_of_an_instance_count_once() -> None:
-    # matched in frames 0, 1 and 2 together, never seen beside: 1 x 3/5 x 3/3
+    # matched in frames 0, 1 and 2 together, never seen beside: 1 x 3/5 x 3/3, and 2 voxels of rim: x 2/12
     fragments = {1: fragment(1, matched=0b011, seen=0), 2: fragment(2, matched=0b110, seen=0)}
     result = finished(line({1: 2}, {2: 2}), {1: 1, 2: 1}, openvox(), fragments)
-    assert result.instance_confidence[0] == pytest.approx(0.6, abs=1e-5)
+    assert result.instance_confidence[0] == pytest.approx(0.1, abs=1e-5)
     assert result.instances[0].observations == 3
 
 
-@pytest.mark.parametrize(("floor", "exists"), [(0.125, True), (0.126, False)])
-def test_objects_below_the_confidence_floor_are_dropped(floor: float, exists: bool) -> None:
+@pytest.mark.parametrize(("floor", "exists"), [(0.25, True), (0.251, False)])
+def test_objects_whose_existence_is_below_the_floor_are_dropped(floor: float, exists: bool) -> None:
     fragments = {1: fragment(1, matched=0b0011, seen=0b1110, score=0.5)}
     result = finished(line({1: 2}), {1: 1}, openvox(min_confidence=floor), fragments)
     assert result.voxel_instance.tolist() == ([1] if exists else [0])

@@ -95,12 +95,12 @@ class EvolutionParameters:
         why="least share of the fragment's masked voxels on either side of a cut",
     )
     cut_inheritance: float = parameter(
-        2.0,
+        1.1,
         "factor",
         0.0,
         100.0,
         needs="evolution.cut",
-        why="togetherness of the two sides, times the mean moved votes",
+        why="togetherness of the two sides, times the mean moved votes: about what they had counted as two from the start",
     )
 
 
@@ -122,6 +122,14 @@ class LifecycleParameters:
         1.0,
         needs="lifecycle.evidence",
         why="masks nested to this share contradict each other half as much",
+    )
+    omission: int = parameter(
+        2,
+        "counts",
+        0,
+        16,
+        needs="lifecycle.evidence",
+        why="apart, where a mask covers one fragment and leaves its neighbour in view out; 0 = says nothing",
     )
     captions: bool = parameter(True, "", needs="lifecycle.evidence", why="unlike captions weaken togetherness")
     kinds: bool = parameter(
@@ -164,7 +172,7 @@ class FinishParameters:
         why="loose parts below this share of their object are dropped",
     )
     min_confidence: float = parameter(
-        0.12, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
+        0.16, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
     )
 
 

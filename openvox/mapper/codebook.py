@@ -79,7 +79,8 @@ class Memory:
     seen: int
     """Frames in which it was in view, or matched."""
     score: int
-    """Mean detection score, Q12."""
+    """Sum of detection scores, Q12, over `observations` masks."""
+    observations: int
     first_frame: int
     last_frame: int
     voxels: int
@@ -103,14 +104,14 @@ def memory_of(fragments: Iterable[Fragment]) -> Memory:
         seen |= part.seen
         for text, support in part.captions.items():
             captions[text] = captions.get(text, 0) + support
-    observations = sum(part.observations for part in parts)
     return Memory(
         total=parts[0].total if len(parts) == 1 else np.sum([part.total for part in parts], axis=0),
         weight=sum(part.weight for part in parts),
         captions=tuple(sorted(captions.items(), key=lambda item: (-item[1], item[0]))),
         matched=matched.bit_count(),
         seen=(seen | matched).bit_count(),
-        score=sum(part.score for part in parts) // observations if observations else 0,
+        score=sum(part.score for part in parts),
+        observations=sum(part.observations for part in parts),
         first_frame=min(part.first_frame for part in parts),
         last_frame=max(part.last_frame for part in parts),
         voxels=sum(part.voxels for part in parts),

@@ -57,6 +57,10 @@ class Evidence:
         self._neighbours[f].add(g)
         self._neighbours[g].add(f)
 
+    def neighbours(self, f: int) -> list[int]:
+        """Fragments that once lay in one mask with f, ascending."""
+        return sorted(self._neighbours[f])
+
     def add_apart(self, f: int, g: int, amount: int) -> None:
         """f and g lay in different masks of one frame."""
         key = pair(f, g)
@@ -80,7 +84,7 @@ class Evidence:
         start: set[int] = set()
         for f in changed:
             start.update(self._component[f])
-            for g in sorted(self._neighbours[f]):
+            for g in self.neighbours(f):
                 self._weight[pair(f, g)] = self._pair_weight(pair(f, g), fragments)
         done: set[int] = set()
         for f in sorted(start):
@@ -119,7 +123,7 @@ class Evidence:
         reached, waiting = {f}, [f]
         while waiting:
             here = waiting.pop()
-            for g in sorted(self._neighbours[here]):
+            for g in self.neighbours(here):
                 if g not in reached and self._weight.get(pair(here, g), 0) > 0:
                     reached.add(g)
                     waiting.append(g)

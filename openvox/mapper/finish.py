@@ -16,6 +16,8 @@ from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
 
 Longs = NDArray[np.int64]
+RIM = 10
+"""Voxels at which an instance is about as much rim as body."""
 FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 HALF_NEIGHBOURS = tuple((i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0))
 """One of each opposite pair of the 26 neighbours."""
@@ -40,9 +42,12 @@ def finished_map(
     share = _share(own_row, own_id, own_count, shown, total)
     gone: dict[int, str] = {}
     shown = _existing(shown, keys, memories, parameters.finish, gone)
-    confidence = _confidences(shown, share, memories, parameters.finish)
+    theta, sizes = _mean_theta(shown, share)
+    confidence = dict(theta)
     if parameters.finish.existence:
-        shown = _sure(shown, confidence, parameters.finish.min_confidence, gone)
+        existence = _existence(theta, memories)
+        shown = _sure(shown, existence, parameters.finish.min_confidence, gone)
+        confidence = {i: _expected_overlap(value, theta[i], sizes[i]) for i, value in existence.items()}
     share = _share(own_row, own_id, own_count, shown, total)
     kept = [i for i in np.unique(shown).tolist() if i > 0]
     index = projection.voxel_index(keys)
@@ -161,10 +166,10 @@ def _existing(
     return np.where(loose, 0, shown)
 
 
-def _sure(shown: Longs, confidence: Mapping[int, int], floor: float, gone: dict[int, str]) -> Longs:
-    """Without the objects below the confidence floor. Reasons go to `gone`."""
-    unsure = [i for i, value in confidence.items() if value < fixedpoint.q20(floor)]
-    gone.update((i, f"confidence {confidence[i] / fixedpoint.Q20:.3f} is below {floor:g}") for i in unsure)
+def _sure(shown: Longs, existence: Mapping[int, int], floor: float, gone: dict[int, str]) -> Longs:
+    """Without the objects whose existence is not sure enough. Reasons go to `gone`."""
+    unsure = [i for i, value in existence.items() if value < fixedpoint.q20(floor)]
+    gone.update((i, f"existence {existence[i] / fixedpoint.Q20:.3f} is below {floor:g}") for i in unsure)
     return _without(shown, unsure)
 
 
@@ -196,25 +201,36 @@ def _parts(shown: Longs, keys: Longs) -> Longs:
             return part
 
 
-def _confidences(
-    shown: Longs, share: Longs, memories: Mapping[int, Memory], parameters: FinishParameters
-) -> dict[int, int]:
-    """Confidence of each shown instance in Q20: mean theta over its voxels, with the existence tests switched on times
-    k / (k + 2), k / v and the mean detection score (k frames matched, v frames that saw it)."""
+def _mean_theta(shown: Longs, share: Longs) -> tuple[dict[int, int], dict[int, int]]:
+    """Mean theta (Q20) and number of voxels of every shown instance, ids ascending."""
     sums = np.zeros(int(shown.max(initial=0)) + 1, np.int64)
     np.add.at(sums, shown, share)
     sizes = np.bincount(shown)
+    ids = [i for i in np.flatnonzero(sizes).tolist() if i]
+    return {i: int(sums[i]) // int(sizes[i]) for i in ids}, {i: int(sizes[i]) for i in ids}
+
+
+def _existence(theta: Mapping[int, int], memories: Mapping[int, Memory]) -> dict[int, int]:
+    """How surely each shown instance is a thing, Q20: mean theta x k/(k+2) x k/v x the square of its relative score
+    (k frames matched, v frames that saw it).
+
+    A relative score is the instance's mean detection score over that of all masks, at most 1: what is a good score
+    differs between detectors, but a phantom scores below what else the same detector finds."""
+    scores = sum(memory.score for memory in memories.values())
+    masks = sum(memory.observations for memory in memories.values())
     out = {}
-    for i in np.flatnonzero(sizes).tolist():
-        if i == 0:
-            continue
-        value = int(sums[i]) // int(sizes[i])
-        if parameters.existence:
-            memory = memories[i]
-            k, v = memory.matched, max(1, memory.seen)
-            value = value * k * k * memory.score // ((k + 2) * v * 4096)
-        out[i] = value
+    for i, value in theta.items():
+        memory = memories[i]
+        k, v = memory.matched, max(1, memory.seen)
+        relative = min(fixedpoint.Q20, ((memory.score * masks) << 20) // max(1, scores * memory.observations))
+        out[i] = value * k * k * relative * relative // ((k + 2) * v) >> 40
     return out
+
+
+def _expected_overlap(existence: int, theta: int, voxels: int) -> int:
+    """Confidence, Q20: existence x the overlap that one may hope for, theta x n/(n + RIM), as small things are mostly
+    rim."""
+    return existence * theta * voxels // (voxels + RIM) >> 20
 
 
 def _summary(i: int, memory: Memory, life: Life, index: NDArray[np.int32], size: float) -> InstanceSummary:

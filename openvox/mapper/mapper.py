@@ -16,7 +16,7 @@ from openvox.core.types import Decision, Event, Frame, InstanceMap, Mask, Step, 
 from openvox.mapper import state
 from openvox.mapper.associate import Association, associate_frame
 from openvox.mapper.codebook import NAMELESS, Fragment
-from openvox.mapper.cut import Nesting, count_pairs, cuts
+from openvox.mapper.cut import Nesting, count_omissions, count_pairs, cuts
 from openvox.mapper.engines.engine import Engine, Look, Region
 from openvox.mapper.engines.pixels import EMPTY
 from openvox.mapper.equations import FULL_WEIGHT
@@ -76,7 +76,7 @@ class Mapper:
         nesting = Nesting(kept, self.parameters.lifecycle.nested)
         events = self._found(frame, masks, associations)
         look, pieces = self._cut(frame, kept, associations, region, look, nesting, events)
-        self._count_pairs(kept, associations, nesting)
+        self._count_pairs(kept, associations, nesting, look)
         abstained = self._vote(region, look, associations)
         changes = self._settle(look)
         self._learn(frame, masks, features, associations, look)
@@ -205,9 +205,14 @@ class Mapper:
             look.owner = owner
         return look, changed
 
-    def _count_pairs(self, kept: Sequence[Mask | None], associations: Sequence[Association], nesting: Nesting) -> None:
-        if self.parameters.lifecycle.evidence:
-            count_pairs(kept, associations, nesting, self._evidence, self.parameters.lifecycle)
+    def _count_pairs(
+        self, kept: Sequence[Mask | None], associations: Sequence[Association], nesting: Nesting, look: Look
+    ) -> None:
+        lifecycle = self.parameters.lifecycle
+        if lifecycle.evidence:
+            count_pairs(kept, associations, nesting, self._evidence, lifecycle)
+            if lifecycle.omission:
+                count_omissions(kept, associations, look.fragments, look.overlap, self._evidence, lifecycle)
 
     def _vote(self, region: Region, look: Look, associations: Sequence[Association]) -> NDArray[np.int64]:
         """Every (voxel, mask) pair votes; returns how many voxels of each mask abstained."""
