@@ -247,6 +247,17 @@ def test_main_effects_are_means_over_the_grid() -> None:
     }
 
 
+def test_what_failed_takes_its_neighbours_out_of_the_main_effect() -> None:
+    varied, sets = parameter_sets(RUN, ["association.threshold=0.3,0.4", "masks.erosion=1,2"])
+    items = [item(0, None, status="failed"), *(item(number, ap) for number, ap in ((1, 0.3), (2, 0.5), (3, 0.9)))]
+    found = {row["parameter"]: row for row in effects(varied, described_sets(sets, items)) if row["measure"] == "ap"}
+    assert [(row["value"], row["mean"], row["sets"]) for row in found["association.threshold"]["means"]] == [
+        (0.3, 0.3, 1),
+        (0.4, 0.9, 1),
+    ]
+    assert [row["mean"] for row in found["masks.erosion"]["means"]] == [0.5, 0.9]
+
+
 def test_a_set_that_failed_somewhere_is_not_ranked() -> None:
     _, sets = parameter_sets(RUN, ["masks.erosion=1,2"])
     items = [item(0, 0.5), item(0, 0.7), item(1, 0.9), item(1, None, status="failed")]

@@ -42,8 +42,11 @@ def described_sets(sets: Sequence[Any], items: Sequence[Row]) -> list[dict[str, 
 
 
 def effects(varied: Mapping[str, Sequence[Any]], sets: Sequence[Row]) -> list[dict[str, Any]]:
-    """The main effect of each parameter on each measure: its mean at each value, over all sets of the grid that have
-    it; the largest range first (of the first measure that there is)."""
+    """The main effect of each parameter on each measure: its mean at each value over the sets of the grid; within a
+    measure, the largest range first.
+
+    Only groups of sets that differ in nothing but this parameter, and of which none failed, are counted: else the means
+    of two values would be of different sets."""
     rows = []
     for measure in MEASURES:
         of_measure = [_effect(name, values, measure, sets) for name, values in varied.items()]
@@ -52,11 +55,14 @@ def effects(varied: Mapping[str, Sequence[Any]], sets: Sequence[Row]) -> list[di
 
 
 def _effect(name: str, values: Sequence[Any], measure: str, sets: Sequence[Row]) -> dict[str, Any]:
-    means = []
-    for value in values:
-        grid = [one for one in sets if one["grid"] and one["parameters"][name] == value]
-        known = [number for one in grid if (number := measured(one, measure)) is not None]
-        means.append({"value": value, "mean": _mean(known), "items": len(known)})
+    groups: dict[tuple[Any, ...], dict[Any, float]] = {}
+    for one in sets:
+        number = measured(one, measure)
+        if one["grid"] and number is not None:
+            rest = tuple(value for other, value in one["parameters"].items() if other != name)
+            groups.setdefault(rest, {})[one["parameters"][name]] = number
+    whole = [group for group in groups.values() if len(group) == len(values)]
+    means = [{"value": value, "mean": _mean([group[value] for group in whole]), "sets": len(whole)} for value in values]
     numbers = [row["mean"] for row in means if row["mean"] is not None]
     reach = max(numbers) - min(numbers) if numbers else None
     return {"parameter": name, "measure": measure, "means": means, "range": reach}
@@ -79,7 +85,9 @@ def best(sets: Sequence[Row]) -> dict[str, Any] | None:
 
 
 def measured(one: Row, measure: str) -> float | None:
-    """A measure of a set: of its scores, or its own."""
+    """A measure of a set, of its scores or its own; None if there is none, or an item of the set failed."""
+    if one["failed"]:
+        return None
     number = (one["scores"] or {}).get(measure) if measure in SCORES else one[measure]
     return None if number is None else float(number)
 

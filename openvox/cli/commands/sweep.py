@@ -85,7 +85,7 @@ def print_result(data: tables.Data) -> None:
         [
             [
                 f"{one['set']}{' (default)' if one['default'] else ''}",
-                *(one["parameters"][name] for name in names),
+                *(str(one["parameters"][name]) for name in names),
                 *((one["scores"] or {}).get(score) for score in scores),
                 *(one["instances"], one["seconds"]),
                 _first(data, one["set"]),
@@ -96,7 +96,7 @@ def print_result(data: tables.Data) -> None:
     )
     for effect in data["effects"]:
         if effect["measure"] in ("ap", "instances"):
-            means = ", ".join(f"{tables.cell(m['value'])}: {tables.cell(m['mean'])}" for m in effect["means"])
+            means = ", ".join(f"{m['value']}: {tables.cell(m['mean'])}" for m in effect["means"])
             print(f"{effect['parameter']} on {effect['measure']}: {means}")
     for item in data["items"]:
         if item["error"]:
