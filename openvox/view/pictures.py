@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from openvox.view.labels import UNASSIGNED, mask_image, shortened
 from openvox.view.lettering import HALO, Note, annotate, write
 from openvox.view.render import NOTHING, render_rows, take_rows
 from openvox.view.shading import lit
-from openvox.view.viewpoint import best_azimuth, centres, from_above, narrow_camera, world_from_color
+from openvox.view.viewpoint import ELEVATION, best_azimuth, centres, from_above, narrow_camera, world_from_color
 
 Picture = NDArray[np.uint8]
 """(height, width, 3), RGB."""
@@ -41,15 +42,29 @@ def draw_map(result: InstanceMap, out: Path, *, width: int = 1280, height: int =
 
     Raises OutputError where the file cannot be written.
     """
+    _write_png(out, map_picture(result, map_azimuth(result), width=width, height=height))
+
+
+def map_azimuth(result: InstanceMap) -> float:
+    """The side, in radians from the x axis, from which a picture of the map shows most."""
+    return best_azimuth(result, _cutaway)
+
+
+def map_picture(
+    result: InstanceMap, azimuth: float, *, width: int, height: int, elevation: float = ELEVATION
+) -> Picture:
+    """The map from above, ceiling and near walls cut away, the largest instances named.
+
+    azimuth, elevation: where the camera stands, radians from the x axis and from the level.
+    """
     camera = narrow_camera(2 * width, 2 * height)
-    azimuth = best_azimuth(result, _cutaway)
     kept = _cutaway(result, azimuth)
     index, instances = result.voxel_index[kept], result.voxel_instance[kept]
-    pose = from_above(centres(index, result.voxel_size), camera, azimuth)
+    pose = from_above(centres(index, result.voxel_size), camera, azimuth, elevation)
     picture, labels = _view(index, instances, result.voxel_size, pose, camera, PAPER)
     picture = np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
     annotate(picture, _notes(labels[::2, ::2], _captions(result)), scale=0.5)
-    _write_png(out, picture)
+    return picture
 
 
 def draw_frame(
@@ -94,7 +109,7 @@ def _cutaway(result: InstanceMap, azimuth: float) -> NDArray[np.bool_]:
     if not background.any():
         return np.ones(len(background), np.bool_)
     level = result.voxel_index[:, 2]
-    floor, ceiling = _floor_and_ceiling(level[background])
+    floor, ceiling = floor_and_ceiling(level[background])
     low = level <= floor + FLOOR_METRES / result.voxel_size
     below = level < ceiling - CEILING_METRES / result.voxel_size
     aside = result.voxel_index[:, 0] * math.cos(azimuth) + result.voxel_index[:, 1] * math.sin(azimuth)
@@ -103,7 +118,7 @@ def _cutaway(result: InstanceMap, azimuth: float) -> NDArray[np.bool_]:
     return kept
 
 
-def _floor_and_ceiling(level: NDArray[np.int32]) -> tuple[int, int]:
+def floor_and_ceiling(level: NDArray[np.integer[Any]]) -> tuple[int, int]:
     """The fullest layer of the lower half, and of the upper half if it stands out; else nothing is a ceiling."""
     levels, count = np.unique(level, return_counts=True)
     upper = levels > (int(levels[0]) + int(levels[-1])) / 2

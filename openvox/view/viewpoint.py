@@ -56,13 +56,14 @@ def best_azimuth(result: InstanceMap, shown: Shown) -> float:
     return max(seen)[2]
 
 
-def from_above(points: Points, camera: Intrinsics, azimuth: float) -> NDArray[np.float64]:
+def from_above(points: Points, camera: Intrinsics, azimuth: float, elevation: float = ELEVATION) -> NDArray[np.float64]:
     """(4, 4) camera-to-world pose that looks down at the points and just holds them all.
 
-    azimuth: radians from the world's x axis to the side on which the camera stands. z is up.
+    azimuth: radians from the world's x axis to the side on which the camera stands; elevation: from the level up.
+    z is up.
     """
-    level = math.cos(ELEVATION)
-    forward = -np.array([math.cos(azimuth) * level, math.sin(azimuth) * level, math.sin(ELEVATION)])
+    level = math.cos(elevation)
+    forward = -np.array([math.cos(azimuth) * level, math.sin(azimuth) * level, math.sin(elevation)])
     right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
     local = points @ rotation

@@ -1,0 +1,130 @@
+"""report: a page to keep and to send around, of a map, of two maps, or of a sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from openvox.apps.info import kind_of
+from openvox.core.digest import map_digest
+from openvox.core.errors import InputError, OutputError
+from openvox.core.types import InstanceMap
+from openvox.formats.atomic import partial_file
+from openvox.formats.map_npz import SUFFIX, read_map
+from openvox.formats.recording import recording_info
+from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
+from openvox.formats.trace import trace_info
+
+SUFFIXES = (".html", ".htm")
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was written, and what it shows."""
+
+    out: Path
+    replaced: bool
+    """An older file of that name."""
+    kind: str
+    """map, maps or sweep."""
+    bytes: int
+    instances: int
+    trace: Path | None
+    recording: Path | None
+    notes: tuple[str, ...]
+    """What the page leaves out, and why."""
+
+
+def report(first: Path, second: Path | None, out: Path, *, recording: Path | None = None) -> Report:
+    """Write one HTML file with all that it shows in it.
+
+    first: a map. second: its trace; without it, STEM.trace.mcap beside the map, if it is the map's. recording: where
+    crops come from; without it, the one that the map names, if it is the same. The same files give the same bytes.
+    Raises InputError, OutputError.
+    """
+    if out.suffix.lower() not in SUFFIXES:
+        raise OutputError(f"{out} would be overwritten with a web page; let the last argument end with .html")
+    kind = kind_of(first)
+    if kind != "map":
+        raise InputError(f"{first} is a {kind}; a report begins with a map, STEM.map.npz")
+    result = read_map(first)
+    text, trace, source, remarks = _one_map(first, result, second, recording)
+    replaced = out.is_file()
+    with partial_file(out) as partial:
+        partial.write_text(text, "utf-8", newline="\n")
+    size = len(text.encode())
+    return Report(out, replaced, "map", size, len(result.instances), trace, source, tuple(remarks))
+
+
+def _one_map(
+    path: Path, result: InstanceMap, trace: Path | None, recording: Path | None
+) -> tuple[str, Path | None, Path | None, list[str]]:
+    """The page, the trace and the recording that it shows, and what is missing."""
+    from openvox.apps.reporting.crops import crops
+    from openvox.apps.reporting.one_map import map_page
+    from openvox.apps.reporting.run import read_run
+
+    remarks: list[str] = []
+    if trace is not None:
+        _check_trace(path, result, trace)
+    else:
+        trace = _trace_beside(path, result)
+        if trace is None:
+            remarks.append("No statistics of decisions: the trace of this map was not given, and is not beside it.")
+    source = _recording_of(path, result, recording)
+    pieces = {}
+    if source is None:
+        remarks.append("No pictures of the instances: the recording was not found with the map, or is another one.")
+    elif not recording_info(source).has_color:
+        remarks.append("No pictures of the instances: the recording has no colour.")
+    else:
+        pieces = crops(result, source)
+    run = read_run(trace) if trace else None
+    title = path.name.removesuffix(SUFFIX)
+    return map_page(title, result, map_digest(result), run, pieces, remarks), trace, source, remarks
+
+
+def _digest_of(result: InstanceMap, name: str) -> str | None:
+    digests = result.meta.get("digests")
+    found = digests.get(name) if isinstance(digests, dict) else None
+    return found if isinstance(found, str) else None
+
+
+def _check_trace(path: Path, result: InstanceMap, trace: Path) -> None:
+    kind = kind_of(trace)
+    if kind != "trace":
+        raise InputError(f"{trace} is a {kind}; expected the trace of {path}, or a second map")
+    found, expected = trace_info(trace).digest, _digest_of(result, "trace")
+    if found != expected:
+        raise InputError(
+            f"{trace} is of another run than {path}: its digest is {found[:12]}, the map names "
+            f"{(expected or 'none')[:12]}; give the trace that replay wrote with the map"
+        )
+
+
+def _trace_beside(path: Path, result: InstanceMap) -> Path | None:
+    beside = path.with_name(path.name.removesuffix(SUFFIX) + TRACE_SUFFIX)
+    try:
+        return beside if beside.exists() and trace_info(beside).digest == _digest_of(result, "trace") else None
+    except InputError:
+        return None  # it was not asked for
+
+
+def _recording_of(path: Path, result: InstanceMap, given: Path | None) -> Path | None:
+    """The recording with the digest that the map names. Raises InputError where one was given that has another."""
+    expected = _digest_of(result, "recording")
+    if given is not None:
+        found = recording_info(given).digest
+        if found != expected:
+            raise InputError(
+                f"{given} is not the recording of {path}: its digest is {found[:12]}, the map names "
+                f"{(expected or 'none')[:12]}; give the recording that was replayed"
+            )
+        return given
+    named = result.meta.get("recording")
+    if not isinstance(named, str) or not named or Path(named).is_absolute():
+        return None
+    try:
+        return path.parent / named if recording_info(path.parent / named).digest == expected else None
+    except InputError:
+        return None  # it was not asked for

@@ -1,0 +1,1 @@
+"""What a report says: of one map, of two maps, of a sweep."""

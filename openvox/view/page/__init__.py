@@ -1,0 +1,1 @@
+"""Pages that people keep: one HTML file with everything in it."""

@@ -1,0 +1,367 @@
+"""Pages to keep: what stands in them, that nothing in a file can run in them, and that they work in a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import Browser, browser_path, opened
+from maps import labelled_map, small_map
+from numpy.typing import NDArray
+from worlds import tiny_frames
+
+from openvox.apps.perceive import perceive
+from openvox.apps.replay import replay
+from openvox.apps.report import report
+from openvox.apps.reporting.run import read_run
+from openvox.core.errors import InputError, OutputError
+from openvox.formats.map_npz import read_map, write_map
+from openvox.formats.recording import RecordingWriter
+from openvox.view.page import cubes
+from openvox.view.page.document import Html, escaped, page, tag
+from openvox.view.page.plots import bars, histogram, lines
+
+HOSTILE = "</script><script>document.title = 'stolen'</script><img src=http://example.com/x onerror=alert(1)> \u202ecba"
+
+
+def data_of(text: str) -> Any:
+    """What the page's scripts read."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+def cells_of(scene: dict[str, Any]) -> NDArray[Any]:
+    return np.frombuffer(base64.b64decode(scene["cells"]), cubes.CELL)
+
+
+def row_map(**changes: Any) -> Any:
+    """Four voxels in a row along x: floor, two of instance 3, one of 8."""
+    index = np.array([[5, 0, 0], [6, 0, 0], [7, 0, 0], [8, 0, 0]], np.int32)
+    return labelled_map(index, np.array([0, 3, 3, 8], np.int32), **changes)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with tiny.mcap, its perception, map and trace."""
+    folder = tmp_path_factory.mktemp("report")
+    with RecordingWriter(folder / "tiny.mcap", source="test") as recording:
+        for frame in tiny_frames(6):
+            recording.add(frame)
+    perceive(folder / "tiny.mcap", frontend="oracle", assignments=["oracle.min_pixels=1"])
+    replay(folder / "tiny.mcap", assignments=["map.voxel_size=0.1", "masks.min_pixels=1"])
+    return folder
+
+
+# --- what stands in a page -------------------------------------------------------------------------------------------
+
+
+def test_texts_are_escaped_and_what_is_not_printable_is_shown_as_a_question_mark() -> None:
+    assert escaped("a<b>&\"'\x1b\u202e") == "a&lt;b&gt;&amp;&quot;&#x27;??"
+    assert tag("p", "<i>", Html("<b>"), 3, None, ["&"]) == "<p>&lt;i&gt;<b>3&amp;</p>"
+    assert tag("td", data_x='"', class_="a", hidden=True, id=None) == '<td data-x="&quot;" class="a" hidden></td>'
+    assert tag("img", alt="") == '<img alt="">'
+
+
+def test_data_cannot_end_their_script() -> None:
+    text = page("t", [], {"caption": "</script><!--"})
+    assert data_of(text) == {"caption": "</script><!--"}
+    assert text.count("</script>") == 2
+
+
+def test_a_page_allows_only_its_own_scripts_and_nothing_from_a_network() -> None:
+    text = page("t", [], {})
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)
+    assert policy
+    rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+    assert rules["default-src"] == "'none'"
+    assert rules["img-src"] == "data:"
+    assert re.fullmatch(r"'sha256-[^']+'", rules["script-src"])
+    assert "unsafe" not in policy[1]
+    assert not re.search(r"""(src|href)=["']?(https?:|//)|url\(|@import""", text)
+
+
+def test_bars_are_as_long_as_their_numbers() -> None:
+    widths = [float(w) for w in re.findall(r'<rect [^>]*width="([\d.]+)"', bars("t", [("a", 4), ("b", 1), ("c", 0)]))]
+    assert widths[1] == pytest.approx(widths[0] / 4, abs=0.1)
+    assert widths[2] == 0
+
+
+def test_a_histogram_counts_each_value_once_and_those_beyond_it_at_its_ends() -> None:
+    found = re.findall(r"<title>[^<]*: (\d+)</title>", histogram("t", [-9, -1, -0.5, 0.0, 0.99, 1, 7], -1, 1, bins=4))
+    assert found == ["2", "1", "1", "3"]
+
+
+def test_a_line_ends_at_the_right_at_its_last_value() -> None:
+    text = lines("t", [0, 10], [("a", [0, 4])])
+    assert re.search(r'points="44,156 330,10"', text)
+    assert "a ends at 4" in text
+
+
+@pytest.mark.parametrize("plot", [bars("t", []), histogram("t", [], 0, 1), lines("t", [], [("a", [])])])
+def test_plots_of_nothing_are_empty(plot: str) -> None:
+    assert "<svg" in plot
+
+
+# --- the map for the scene -------------------------------------------------------------------------------------------
+
+
+def test_a_face_is_open_where_no_voxel_of_the_same_instance_lies_behind_it() -> None:
+    scene = cubes.scene(row_map())
+    cells = cells_of(scene)
+    assert (scene["low"], scene["ids"], scene["joined"]) == ([5, 0, 0], [3, 8], 1)
+    assert cells["x"].tolist() == [0, 1, 2, 3]
+    assert cells["place"].tolist() == [0, 1, 1, 2]
+    assert cells["faces"].tolist() == [0b111111, 0b111101, 0b111110, 0b111111]
+
+
+def test_a_voxel_among_its_own_is_left_out() -> None:
+    index = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    assert len(cells_of(cubes.scene(labelled_map(index, np.ones(27, np.int32))))) == 26
+
+
+def test_a_large_map_is_joined_eight_to_one_and_keeps_its_instances(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cubes, "MOST_CELLS", 2)
+    scene = cubes.scene(row_map())  # cells 5 | 6 7 | 8 become 2 | 3 | 4, then 1 1 | 2
+    cells = cells_of(scene)
+    assert (scene["joined"], scene["size"]) == (4, pytest.approx(0.16))
+    assert cells["place"].tolist() == [1, 2]
+
+
+def test_an_empty_map_has_a_page(tmp_path: Path) -> None:
+    empty = labelled_map(np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
+    write_map(tmp_path / "a.map.npz", empty)
+    assert report(tmp_path / "a.map.npz", None, tmp_path / "a.html").instances == 0
+
+
+# --- what a trace tells ----------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_counted_frame_by_frame(made: Path) -> None:
+    run = read_run(made / "tiny.trace.mcap")
+    result = read_map(made / "tiny.map.npz")
+    assert run.frames == [0, 1, 2, 3, 4, 5]
+    assert run.voxels[-1] == len(result.voxel_index)
+    assert sum(run.rules.values()) == sum(run.masks)
+    assert run.rules["new"] == run.events["new"]
+    assert run.instances[-1] >= len(result.instances)
+    assert len(run.above_second) <= len(run.above_threshold) <= sum(run.masks)
+
+
+# --- the report ------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_shows_every_instance_with_a_picture_and_its_caption(made: Path, tmp_path: Path) -> None:
+    found = report(made / "tiny.map.npz", None, tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text("utf-8")
+    result = read_map(made / "tiny.map.npz")
+    assert found.instances == len(result.instances) == text.count("<tr data-select=")
+    assert (found.trace, found.recording) == (made / "tiny.trace.mcap", made / "tiny.mcap")
+    assert found.notes == ()
+    assert found.bytes == (tmp_path / "a.html").stat().st_size
+    assert text.count('class="crops"') == len(result.instances)
+    for part in ("Decisions by rule", "Growth", "Parameters", *result.meta["digests"].values()):
+        assert part in text
+    assert all(summary.caption in text for summary in result.instances)
+
+
+def test_the_same_files_give_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    for name in ("a.html", "b.html"):
+        report(made / "tiny.map.npz", made / "tiny.trace.mcap", tmp_path / name)
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_without_trace_and_recording_the_page_says_what_is_missing(tmp_path: Path) -> None:
+    write_map(tmp_path / "a.map.npz", small_map())
+    found = report(tmp_path / "a.map.npz", None, tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text("utf-8")
+    assert [note[:10] for note in found.notes] == ["No statist", "No picture"]
+    assert all(note in text for note in found.notes)
+    assert "ein grüner Stuhl" in text
+
+
+def test_another_recording_is_not_taken_by_itself_and_refused_when_named(made: Path, tmp_path: Path) -> None:
+    write_map(tmp_path / "a.map.npz", replace(small_map(), meta={**small_map().meta, "recording": "tiny.mcap"}))
+    (tmp_path / "tiny.mcap").write_bytes((made / "tiny.mcap").read_bytes())
+    assert report(tmp_path / "a.map.npz", None, tmp_path / "a.html").recording is None
+    with pytest.raises(InputError, match=r"tiny\.mcap is not the recording of"):
+        report(tmp_path / "a.map.npz", None, tmp_path / "a.html", recording=tmp_path / "tiny.mcap")
+
+
+def test_a_trace_of_another_run_is_refused(made: Path, tmp_path: Path) -> None:
+    write_map(tmp_path / "a.map.npz", small_map())
+    with pytest.raises(InputError, match=r"tiny\.trace\.mcap is of another run"):
+        report(tmp_path / "a.map.npz", made / "tiny.trace.mcap", tmp_path / "a.html")
+    assert not (tmp_path / "a.html").exists()
+
+
+def test_only_a_web_page_is_ever_written(made: Path) -> None:
+    trace = made / "tiny.trace.mcap"
+    before = trace.read_bytes()
+    with pytest.raises(OutputError, match=r"end with \.html"):
+        report(made / "tiny.map.npz", None, trace)
+    assert trace.read_bytes() == before
+
+
+def test_what_is_no_map_is_refused(made: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a recording; a report begins with a map"):
+        report(made / "tiny.mcap", None, tmp_path / "a.html")
+
+
+def test_a_map_of_a_newer_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("openvox.formats.map_npz.FORMAT_VERSION", 2)
+    write_map(tmp_path / "a.map.npz", small_map())
+    monkeypatch.undo()
+    with pytest.raises(InputError, match="use a newer openvox"):
+        report(tmp_path / "a.map.npz", None, tmp_path / "a.html")
+
+
+def test_a_page_that_cannot_be_written_is_a_sentence_and_an_older_one_is_replaced(tmp_path: Path) -> None:
+    write_map(tmp_path / "a.map.npz", small_map())
+    with pytest.raises(OutputError, match="could not be written"):
+        report(tmp_path / "a.map.npz", None, tmp_path / "none" / "a.html")
+    assert not report(tmp_path / "a.map.npz", None, tmp_path / "a.html").replaced
+    assert report(tmp_path / "a.map.npz", None, tmp_path / "a.html").replaced
+
+
+# --- in a browser ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    if browser_path() is None:
+        pytest.skip("no chromium, chromium-browser or google-chrome on PATH")
+    with opened(tmp_path_factory.mktemp("profile")) as found:
+        yield found
+
+
+@pytest.fixture
+def shown(browser: Browser, tmp_path: Path) -> Browser:
+    """The page of three blocks on a floor, the middle one with a hostile caption."""
+    index = np.stack(np.meshgrid(np.arange(30), np.arange(10), np.arange(4), indexing="ij"), -1).reshape(-1, 3)
+    x, y, z = index.T
+    label = np.where((z > 0) & (y > 2) & (y < 8) & (x % 10 > 2) & (x % 10 < 8), 1 + x // 10, 0)
+    kept = (z == 0) | (label > 0)
+    captions = {1: "zebra", 2: HOSTILE, 3: "apple"}
+    result = labelled_map(
+        index[kept], label[kept].astype(np.int32), captions=captions, confidence={1: 0.5, 2: 0.9, 3: 0.1}
+    )
+    write_map(tmp_path / "hostile.map.npz", result)
+    report(tmp_path / "hostile.map.npz", None, tmp_path / "hostile.html")
+    browser.messages.clear()
+    browser.requests.clear()
+    browser.open(tmp_path / "hostile.html")
+    return browser
+
+
+ORDER = "[...document.querySelectorAll('tr[data-select]')].filter(r => !r.hidden).map(r => r.dataset.select)"
+CHOSEN = "document.querySelector('tr[aria-selected=true]')?.dataset.select ?? null"
+
+
+def test_a_page_loads_without_a_complaint_and_asks_for_nothing(shown: Browser) -> None:
+    assert shown.messages == []
+    assert [url[:5] for url in shown.requests if not url.startswith("data:")] == ["file:"]
+    assert shown.ask("document.title") == "hostile \u2013 openvox"
+    assert HOSTILE.replace("\u202e", "?") in shown.ask("document.body.textContent")
+
+
+def test_rows_are_sorted_by_their_headings(shown: Browser) -> None:
+    def press(title: str) -> Any:
+        shown.ask(f"[...document.querySelectorAll('th button')].find(b => b.textContent === '{title}').click()")
+        return shown.ask(ORDER)
+
+    assert press("Confidence") == ["[[2]]", "[[1]]", "[[3]]"]
+    assert press("Confidence") == ["[[3]]", "[[1]]", "[[2]]"]
+    assert press("Caption") == ["[[2]]", "[[3]]", "[[1]]"]
+    assert shown.ask("document.querySelector('th[aria-sort]').textContent") == "Caption"
+
+
+def test_rows_are_searched_by_every_word(shown: Browser) -> None:
+    field = "document.querySelector('input[type=search]')"
+    type_in = f"(t => {{ {field}.value = t; {field}.dispatchEvent(new Event('input')) }})"
+    shown.ask(f"{type_in}('ZEB 1')")
+    assert shown.ask(ORDER) == ["[[1]]"]
+    assert shown.ask("document.querySelector('output').textContent") == "1 of 3"
+    shown.ask(f"{type_in}('')")
+    assert len(shown.ask(ORDER)) == 3
+
+
+def drawn(browser: Browser) -> None:
+    """Skip where the browser has no WebGL 2; then the page must say so."""
+    if browser.ask("document.getElementById('scenes').dataset.state") != "drawn":
+        assert browser.ask("document.getElementById('no-scene').hidden") is False
+        pytest.skip("the browser has no WebGL 2")
+
+
+def middle(browser: Browser) -> tuple[float, float]:
+    x, y = browser.ask(
+        "(r => [r.x + r.width / 2, r.y + r.height / 2])(document.querySelector('canvas').getBoundingClientRect())"
+    )
+    return x, y
+
+
+def test_the_map_is_turned_by_dragging_and_by_keys(shown: Browser) -> None:
+    drawn(shown)
+    x, y = middle(shown)
+    before = shown.screenshot()
+    shown.drag((x, y), (x + 80, y + 20))
+    turned = shown.screenshot()
+    assert turned != before
+    assert shown.ask(CHOSEN) is None, "dragging chooses nothing"
+    shown.ask("document.querySelector('canvas').dispatchEvent(new KeyboardEvent('keydown', {key: 'Home'}))")
+    shown.settle()
+    assert shown.screenshot() != turned
+
+
+def test_a_click_on_a_thing_chooses_its_row_and_a_click_beside_it_none(shown: Browser) -> None:
+    drawn(shown)
+    shown.ask("document.querySelector('button[data-do=above]').click()")
+    shown.settle()
+    shown.drag(middle(shown), middle(shown))
+    assert shown.ask(CHOSEN) == "[[2]]"
+    corner = shown.ask("(r => [r.x + 8, r.y + r.height - 8])(document.querySelector('canvas').getBoundingClientRect())")
+    shown.drag(tuple(corner), tuple(corner))
+    assert shown.ask(CHOSEN) is None
+
+
+def test_a_row_shows_its_thing_and_says_its_name(shown: Browser) -> None:
+    drawn(shown)
+    before = shown.screenshot()
+    shown.ask("document.querySelector('tr[data-select=\"[[3]]\"] button').click()")
+    shown.settle()
+    assert shown.ask(CHOSEN) == "[[3]]"
+    assert shown.ask("document.getElementById('status').textContent") == "3: apple"
+    assert shown.screenshot() != before
+
+
+def test_without_webgl_the_page_says_so_and_the_rest_works(shown: Browser, tmp_path: Path) -> None:
+    block = "HTMLCanvasElement.prototype.getContext = () => null"
+    script = shown.call("Page.addScriptToEvaluateOnNewDocument", source=block)["identifier"]
+    shown.open(tmp_path / "hostile.html")
+    shown.call("Page.removeScriptToEvaluateOnNewDocument", identifier=script)
+    assert shown.ask("document.getElementById('no-scene').hidden") is False
+    assert "WebGL" in shown.ask("document.getElementById('no-scene').textContent")
+    shown.ask("document.querySelector('tr[data-select=\"[[3]]\"] button').click()")
+    assert shown.ask(CHOSEN) == "[[3]]"
+    assert shown.messages == []
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+def test_a_page_is_never_wider_than_its_window(shown: Browser, tmp_path: Path, width: int) -> None:
+    shown.open(tmp_path / "hostile.html", width=width, height=740, touch=width < 700)
+    assert shown.ask("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_everything_that_can_be_used_has_a_name(shown: Browser) -> None:
+    nameless = (
+        "[...document.querySelectorAll('button, select, input, canvas, img, svg[role=img]')].filter(e => !("
+        "e.textContent.trim() && e.matches('button') || e.ariaLabel || e.alt || e.labels?.length)).length"
+    )
+    assert shown.ask(nameless) == 0
