@@ -24,6 +24,8 @@ SETTLED = 1e-4
 QUIET_SECONDS = 6.0
 """So long after its first picture the messages of the viewer's start have left it."""
 PATIENCE = 90.0
+LOADING_SECONDS = 30.0
+"""In which a file must show that it holds something."""
 TRIES = 2
 """The software renderer is known to crash now and then."""
 PACKAGES = "mesa-vulkan-drivers and libvulkan1 (Debian, Ubuntu) or mesa-vulkan-drivers and vulkan-loader (Fedora)"
@@ -77,7 +79,7 @@ def vulkan_devices() -> int:
 
 def _try_shot(rrd: Path, out: Path, frame: int | None, view: str | None, size: tuple[int, int]) -> dict[str, Any]:
     with _viewer(rrd, size) as (viewer, process, deadline):
-        state = _loaded(viewer, process, deadline)
+        state = _loaded(viewer, rrd, process, deadline)
         shown = _go_to(viewer, rrd, state, frame)
         view_id = _view_id(rrd, state, view)
         picture = _settled(viewer, process, view_id, deadline)
@@ -114,15 +116,17 @@ def _check(process: Process, deadline: float, error: object) -> None:
         raise _ViewerDiedError(f"nothing settled in {PATIENCE:.0f} s: {error}")
 
 
-def _loaded(viewer: Any, process: Process, deadline: float) -> Any:
-    """The viewer's state when all of the file has arrived."""
-    before = None
+def _loaded(viewer: Any, rrd: Path, process: Process, deadline: float) -> Any:
+    """The viewer's state when all of the file has arrived. Raises InputError: nothing arrives."""
+    before, given_up = None, time.monotonic() + LOADING_SECONDS
     while True:
         with suppress(ConnectionError, RuntimeError, OSError):
             state = viewer.get_state()
             if state.views and state.recordings and not state.loading and state.recordings == before:
                 return state
             before = state.recordings
+            if not before and not state.loading and time.monotonic() > given_up:
+                raise InputError(f"{rrd} holds nothing that Rerun can show; is it whole? Make it again")
         _check(process, deadline, "loading")
         time.sleep(0.3)
 
@@ -164,7 +168,11 @@ def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float
             pixels = _pixels(picture)
         except (ConnectionError, RuntimeError, OSError, TimeoutError) as error:
             _check(process, deadline, error)
-            time.sleep(0.3)
+            if view_id is not None:
+                raise InputError(
+                    "that view lies behind another tab of the layout, where Rerun does not draw it; leave --view out, "
+                    "or bring the tab to the front in the viewer"
+                ) from None
             continue
         same = last is not None and last.shape == pixels.shape and float((last != pixels).any(-1).mean()) < SETTLED
         if same and time.monotonic() > quiet and not is_blank(pixels) and not viewer.get_state().loading:
