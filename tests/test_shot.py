@@ -47,6 +47,8 @@ def test_a_wrong_view_or_frame_is_one_sentence_and_no_picture(map_file: Path, tm
         InputError, match=r"a.rrd has no view 'nowhere'; its views: Instances; Map with .*; Map, coloured by"
     ):
         shot(rrd, tmp_path / "a.png", view="nowhere")
+    with pytest.raises(InputError, match="that view lies behind another tab"):
+        shot(rrd, tmp_path / "a.png", view="confidence")
     with pytest.raises(InputError, match=r"a.rrd has no frames, as a map has none"):
         shot(rrd, tmp_path / "a.png", frame=3)
     assert not list(tmp_path.glob("a.png*"))
