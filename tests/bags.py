@@ -29,12 +29,12 @@ MOUNT = Pose((0.5, -0.5, 0.5, -0.5), (0.1, 0.0, 0.4))
 class Messages:
     """Makes messages for ROS 2 (or ROS 1) out of frames."""
 
-    def __init__(self, ros1: bool = False) -> None:
-        self.ros1 = ros1
+    def __init__(self, ros1: bool = False, old_tf: bool = False) -> None:
+        self.ros1, self.tf_type = ros1, "tf/msg/tfMessage" if old_tf else "tf2_msgs/msg/TFMessage"
         self.store: Typestore = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
         if ros1:
             text = "geometry_msgs/TransformStamped[] transforms"
-            self.store.register(get_types_from_msg(text, "tf2_msgs/msg/TFMessage"))
+            self.store.register(get_types_from_msg(text, self.tf_type))
 
     def make(self, name: str, **fields: Any) -> Any:
         return self.store.types[name](**fields)
@@ -97,7 +97,7 @@ class Messages:
             child_frame_id=child,
             transform=transform,
         )
-        return self.make("tf2_msgs/msg/TFMessage", transforms=[one])
+        return self.make(self.tf_type, transforms=[one])
 
     def odometry(self, stamp_ns: int, parent: str, child: str, pose: Pose) -> Any:
         zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)

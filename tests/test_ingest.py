@@ -163,6 +163,17 @@ def test_the_origin_is_subtracted_and_recorded(scene: Path, tmp_path: Path) -> N
     assert recording_info(tmp_path / "a.mcap").metadata["origin_m"] == "[455200, 5411900, -1]"
 
 
+@pytest.mark.parametrize("beside", [True, False])
+def test_scannets_own_table_names_the_categories(scene: Path, tmp_path: Path, beside: bool) -> None:
+    (scene / "objects.json").unlink()
+    table = "id\traw_category\tcategory\n7\tcoffee table\ttable\n29\tcarton\t\n"
+    (scene if beside else tmp_path).joinpath("scannetv2-labels.combined.tsv").write_text(table)
+    ingest(scene, tmp_path / "a.mcap")
+    assert recording_info(tmp_path / "a.mcap").categories == {7: "table", 29: "carton"}
+    (scene / "scannetv2-labels.combined.tsv").write_text("a\tb\n1\t2\n")
+    assert "scannetv2-labels.combined.tsv cannot be read" in refusal(scene)
+
+
 # Two cameras
 
 

@@ -76,6 +76,12 @@ def test_a_bag_of_any_storage_gives_the_frames_that_the_robot_saw(tmp_path: Path
     )
 
 
+def test_transforms_of_the_first_days_of_ros_are_read_too(tmp_path: Path) -> None:
+    make = Messages(ros1=True, old_tf=True)
+    path = bag(tmp_path, [*robot(make, FRAMES), *pictures(make, FRAMES)], make=make)
+    assert ingest(path, tmp_path / "out.mcap").frames == 5
+
+
 @pytest.mark.parametrize("suffix", ["*.mcap", "*.db3"])
 def test_a_bags_file_without_its_folder_is_read_too(tmp_path: Path, suffix: str) -> None:
     path = bag(tmp_path, usual(), "mcap" if suffix == "*.mcap" else "sqlite")
@@ -342,7 +348,11 @@ def test_where_no_transform_says_where_depth_sits_a_matrix_can(tmp_path: Path) -
     np.savetxt(tmp_path / "between.txt", Pose((0.0, 0.0, 0.0, 1.0), (0.5, 0.0, 0.0)).matrix())
     options = {"color_from_depth": tmp_path / "between.txt", "camera": OPTICAL}
     ingest(tmp_path / "bag", tmp_path / "out.mcap", **options)
-    assert next(read_frames(tmp_path / "out.mcap")).rig.depth_from_color.translation == (-0.5, 0.0, 0.0)
+    frame = next(read_frames(tmp_path / "out.mcap"))
+    assert frame.rig.depth_from_color.translation == (-0.5, 0.0, 0.0)
+    # the transforms tell where the colour camera is; the depth camera is half a metre to its right
+    expected = compose(FRAMES[0].world_from_depth, Pose((0.0, 0.0, 0.0, 1.0), (0.5, 0.0, 0.0)))
+    np.testing.assert_allclose(frame.world_from_depth.matrix(), expected.matrix(), atol=1e-12)
 
 
 # Stamps
@@ -437,6 +447,17 @@ def test_a_bag_without_depth_or_calibration_is_one_sentence(tmp_path: Path) -> N
     (tmp_path / "other").mkdir()
     infos = (COLOR.replace("image_raw", "camera_info"), DEPTH.replace("image_raw", "camera_info"))
     assert "no calibration belongs to" in refusal(tmp_path / "other", without(usual(), *infos))
+
+
+def test_a_bag_without_colour_is_recorded_without_and_one_in_a_strange_encoding_is_refused(tmp_path: Path) -> None:
+    bare = without(usual(), f"{COLOR}/compressed")
+    result, frames = ingested(tmp_path, bare)
+    assert (len(frames), frames[0].color) == (5, b"")
+    assert result.notes[0] == f"colour from no topic, depth from {DEPTH}"
+    (tmp_path / "other").mkdir()
+    strange = np.zeros((24, 32, 2), np.uint8)
+    bare += [(COLOR, f.stamp_ns, MAKE.image(f.stamp_ns, strange, "yuv422_yuy2")) for f in FRAMES]
+    assert f"{COLOR} is 'yuv422_yuy2', which is not read" in refusal(tmp_path / "other", bare)
 
 
 # Bad bags

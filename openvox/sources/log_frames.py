@@ -62,7 +62,7 @@ def _rig(log: Log, choice: Choice, tree: Tree, options: Options) -> tuple[Rig, C
             raise InputError(f"{log.path}, {topic}: {error}") from error
     here, there = choice.depth_picture.frame_id, choice.color_picture.frame_id
     rig = Rig(depth.intrinsics, color.intrinsics)
-    if here == there or options.color_from_depth is not None or (rig.registered and _says_registered(choice.depth)):
+    if here == there or options.color_from_depth is not None or (rig.registered and choice.registered):
         return rig, color, depth
     stamp = choice.depth_picture.stamp_ns
     between = tree.lookup(here, there, stamp)
@@ -72,10 +72,6 @@ def _rig(log: Log, choice: Choice, tree: Tree, options: Options) -> tuple[Rig, C
             f"{between}; give --color-from-depth FILE (a 4x4 matrix, the identity if depth is registered to colour)"
         )
     return replace(rig, depth_from_color=between), color, depth
-
-
-def _says_registered(topic: str) -> bool:
-    return any(word in topic for word in ("aligned", "registered", "depth_to_rgb", "depth_to_color"))
 
 
 def _camera(log: Log, topic: str, picture: Picture, choice: Choice) -> Camera:

@@ -39,8 +39,7 @@ def find_places(log: Log, choice: Choice, found: Probe, tree: Tree, options: Opt
     camera = (options.camera or here).lstrip("/")
     inner = Pose.identity()
     if options.camera and choice.color_picture and camera == choice.color_picture.frame_id != here:
-        between = tree.lookup(camera, here, choice.depth_picture.stamp_ns)
-        inner = Pose.identity() if isinstance(between, str) else between
+        inner = _color_from_depth(log, choice, tree, options)
     pose_topic = _pose_topic(log, tree, camera, options)
     settled = frozenset[str]()
     if pose_topic is not None:
@@ -57,6 +56,20 @@ def find_places(log: Log, choice: Choice, found: Probe, tree: Tree, options: Opt
     return Places(
         world, camera, inner, frozenset(topics | ({pose_topic} if pose_topic else set())), pose_topic, settled
     )
+
+
+def _color_from_depth(log: Log, choice: Choice, tree: Tree, options: Options) -> Pose:
+    """Where the depth camera sits beside the colour camera whose pose is taken."""
+    assert choice.color_picture is not None
+    if options.color_from_depth is not None:
+        return read_transform(options.color_from_depth)
+    here, there = choice.depth_picture.frame_id, choice.color_picture.frame_id
+    found = tree.lookup(there, here, choice.depth_picture.stamp_ns)
+    if isinstance(found, Pose):
+        return found
+    if choice.registered:
+        return Pose.identity()
+    raise InputError(f"{log.path}: --camera {there} is colour's, and there is {found}; give --color-from-depth FILE")
 
 
 def _pose_topic(log: Log, tree: Tree, camera: str, options: Options) -> str | None:

@@ -31,6 +31,11 @@ class Choice:
     color_info: Calibration | None = None
 
     @property
+    def registered(self) -> bool:
+        """True if depth's topic says that it is seen from the colour camera, as drivers name it."""
+        return any(word in self.depth for word in ("aligned", "registered", "depth_to_rgb", "depth_to_color"))
+
+    @property
     def topics(self) -> set[str]:
         """Those of pictures."""
         return {self.depth, *filter(None, [self.color])}
@@ -80,6 +85,8 @@ def choose(log: Log, found: Probe, given: Mapping[str, str]) -> Choice:
         raise InputError(
             f"{log.path} has no depth pictures among its topics ({_listed(log.topics)}); openvox maps RGB-D"
         )
+    if not colors:
+        _check_encodings(log, pictures)
     pairs = [(color, depth) for depth in depths for color in colors or [""]]
     if len(pairs) > 1:
         aligned = [pair for pair in pairs if pair[0] and _aligned(pictures[pair[0]], pictures[pair[1]])]
@@ -103,6 +110,16 @@ def choose(log: Log, found: Probe, given: Mapping[str, str]) -> Choice:
             )
     assert depth_info is not None
     return Choice(depth, pictures[depth], depth_info, color, pictures[color] if color else None, color_info)
+
+
+def _check_encodings(log: Log, pictures: Mapping[str, Picture]) -> None:
+    """Colour in an encoding that is not read must not pass for no colour."""
+    for topic, picture in sorted(pictures.items()):
+        if not _is_depth(topic, picture) and picture.encoding not in (*COLORS, "compressed"):
+            raise InputError(
+                f"{log.path}: {topic} is {picture.encoding!r}, which is not read; expected {', '.join(COLORS)} or a "
+                "compressed topic (image_proc and image_transport republish make them)"
+            )
 
 
 def _candidates(log: Log, pictures: Mapping[str, Picture], role: str, given: Mapping[str, str]) -> list[str]:

@@ -16,7 +16,7 @@ from openvox.formats.robot_log import Calibration, Item, Log, Picture, TopicKind
 from openvox.sources import log_frames
 from openvox.sources.source import Options, Source
 
-WANTED = ("metadata.yaml", "*.mcap|*.db3|*.bag")
+WANTED = ("metadata.yaml|*.mcap|*.db3|*.bag",)
 _TF, _OLD_TF = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 KINDS: dict[str, TopicKind] = {
     "sensor_msgs/msg/Image": "image",
@@ -34,7 +34,7 @@ _FILES = (".mcap", ".db3", ".bag")
 def missing(path: Path, options: Options) -> list[str]:
     """What is missing for it to be a bag."""
     if path.is_dir():
-        return [] if (path / "metadata.yaml").is_file() else ["metadata.yaml"]
+        return [] if (path / "metadata.yaml").is_file() else ["a bag"]
     if path.suffix not in _FILES or (path.suffix == ".mcap" and not _is_ros(path)):
         return ["a bag"]
     return []
@@ -72,7 +72,10 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except Exception as error:
         text = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path} could not be read as a ROS bag ({text:.300}); is it whole?") from error
+        raise InputError(
+            f"{path} could not be read as a ROS bag ({text:.300}); is it whole? mcap recover, ros2 bag reindex and "
+            "rosbag reindex mend what a crash cut off"
+        ) from error
 
 
 def _messages(path: Path, topics: Collection[str]) -> Iterator[tuple[int, str, Item]]:

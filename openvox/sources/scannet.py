@@ -1,4 +1,5 @@
-"""Exported ScanNet scenes: color/ depth/ pose/ intrinsic/, and instance-filt/ label-filt/ objects.json if there.
+"""Exported ScanNet scenes: color/ depth/ pose/ intrinsic/, and instance-filt/ label-filt/ if there, and
+the names of their categories in objects.json or scannetv2-labels.combined.tsv.
 
 Files are numbered (0.jpg or 000000.jpg); the number is the frame's. Depth is 16-bit PNG in millimetres, poses are 4x4
 camera-to-world matrices (-inf where tracking was lost). Colour may be larger than depth and have a camera of its own.
@@ -6,6 +7,7 @@ camera-to-world matrices (-inf where tracking was lost). Colour may be larger th
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,6 +15,7 @@ from pathlib import Path
 
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, IdImage, Intrinsics, Pose, Rig
+from openvox.formats.truth_meshes import LABELS
 from openvox.sources.source import (
     NO_POSE,
     TWO_CAMERAS,
@@ -64,7 +67,7 @@ def read(folder: Path, options: Options) -> Source:
     return Source(
         kind="scannet",
         depth_unit="mm",
-        categories=_categories(folder / "objects.json"),
+        categories=_categories(folder),
         notes=(*stamp_notes, *rig_notes),
         total=len(chosen),
         frames=_frames(files, chosen, stamps, rig, options),
@@ -142,17 +145,25 @@ def _depth_from_color(folder: Path) -> Pose:
     return color
 
 
-def _categories(path: Path) -> dict[int, str]:
-    """Number to name, of objects.json's name to number; empty without the file."""
-    if not path.exists():
+def _categories(folder: Path) -> dict[int, str]:
+    """Number to name, of objects.json's name to number, or of ScanNet's table of labels; empty without either."""
+    path = folder / "objects.json"
+    if path.exists():
+        try:
+            named = json.loads(read_text(path)).get("categories", {})
+            return {int(number): str(name) for name, number in sorted(named.items())}
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise InputError(
+                f"{path}: its categories cannot be read ({error}); expected an object of names and numbers"
+            ) from error
+    table = next((base / LABELS for base in (folder, folder.resolve().parent) if (base / LABELS).is_file()), None)
+    if table is None or not (folder / "label-filt").is_dir():
         return {}
     try:
-        named = json.loads(read_text(path)).get("categories", {})
-        return {int(number): str(name) for name, number in sorted(named.items())}
-    except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(
-            f"{path}: its categories cannot be read ({error}); expected an object of names and numbers"
-        ) from error
+        rows = csv.DictReader(read_text(table).splitlines(), delimiter="\t")
+        return dict(sorted((int(row["id"]), row["category"] or row["raw_category"]) for row in rows))
+    except (ValueError, KeyError, TypeError, csv.Error) as error:
+        raise InputError(f"{table} cannot be read ({error!r:.200}); expected id, category, raw_category") from error
 
 
 def _frames(
