@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
+import shutil
 import struct
 import zlib
 from collections.abc import Callable
@@ -12,14 +15,26 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from bags import Messages, pictures, robot, write_bag
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.writer import CompressionType, Writer
-from worlds import CAMERA, decimal_seconds, encode_color, intrinsic_matrix, render, tiny_frames, write_png16
+from test_ingest import write_replica
+from worlds import (
+    CAMERA,
+    decimal_seconds,
+    encode_color,
+    intrinsic_matrix,
+    render,
+    tiny_frames,
+    write_png16,
+    write_scannet,
+)
 
 from openvox.apps.ingest import IngestResult, ingest
+from openvox.cli import main
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Intrinsics, Pose
 from openvox.formats.recording import RecordingWriter, read_frames
@@ -429,6 +444,51 @@ def test_a_broken_robots_file_is_one_sentence(tmp_path: Path) -> None:
         assert "robot.mcap" in refusal(path)
 
 
+# docs/sources.md
+
+DOCS = (Path(__file__).resolve().parents[1] / "docs" / "sources.md").read_text(encoding="utf-8")
+LINES = dict(re.findall(r"^\| `(\w+)` \|.*\| `openvox (ingest [^`]+)` \|$", DOCS, re.MULTILINE))
+
+
 def test_every_format_has_its_line_in_the_docs() -> None:
-    text = (Path(__file__).resolve().parents[1] / "docs" / "sources.md").read_text()
-    assert [name for name in FORMATS if f"`{name}`" not in text] == []
+    assert set(LINES) == set(FORMATS) - {"record3d"}
+    assert "| `record3d` |" in DOCS
+
+
+def grown(folder: Path) -> None:
+    """The pictures of a folder at 640x480, as the data set has them."""
+    for path in folder.rglob("*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert image is not None
+        assert cv2.imwrite(str(path), cv2.resize(image, (640, 480), interpolation=cv2.INTER_NEAREST))
+
+
+def test_the_lines_of_the_docs_work_when_copied(
+    tmp_path: Path,
+    tum: Path,
+    seven: Path,
+    open3d: Path,
+    stray: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    grown(tum)
+    make = Messages()
+    places = {name: tmp_path / "docs" / shlex.split(line)[1] for name, line in LINES.items()}
+    for place in places.values():
+        place.parent.mkdir(parents=True, exist_ok=True)
+    for name, folder in (("tum", tum), ("7scenes", seven), ("open3d", open3d), ("stray", stray)):
+        shutil.move(folder, places[name])
+    write_bag(places["ros"], make, [*robot(make, FRAMES), *pictures(make, FRAMES)])
+    write_scannet(places["scannet"], tiny_frames(4))
+    write_replica(places["replica"], [])
+    places["sens"].write_bytes(sens_bytes(FRAMES))
+    foxglove(places["foxglove"], FRAMES)
+    monkeypatch.chdir(tmp_path / "docs")
+    for name, line in LINES.items():
+        with pytest.raises(SystemExit) as end:
+            main([*shlex.split(line), "--json"])
+        assert end.value.code == 0
+        said = json.loads(capsys.readouterr().out)
+        assert said["source"] == {"ros": "ros2"}.get(name, name)
+        assert said["frames"] >= 2
