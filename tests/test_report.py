@@ -231,6 +231,105 @@ def test_a_page_that_cannot_be_written_is_a_sentence_and_an_older_one_is_replace
     assert report(tmp_path / "a.map.npz", None, tmp_path / "a.html").replaced
 
 
+# --- two maps, and a sweep -------------------------------------------------------------------------------------------
+
+
+def pair_of_maps(folder: Path) -> tuple[Path, Path]:
+    """A: 1 on cells 0 to 3, 2 on 6 and 7, 3 on 9. B: 4 and 5 share A's 1, 6 is A's 2 renamed, 7 is new on 20."""
+
+    def along(cells: dict[int, int]) -> NDArray[np.int32]:
+        return np.array([[x, 0, 0] for x in cells], np.int32)
+
+    one = {0: 1, 1: 1, 2: 1, 3: 1, 4: 1, 6: 2, 7: 2, 9: 3}
+    other = {0: 4, 1: 4, 2: 4, 3: 5, 4: 5, 6: 6, 7: 6, 9: 0, 20: 7}
+    paths = (folder / "a.map.npz", folder / "b.map.npz")
+    for path, cells, captions in zip(paths, (one, other), ({2: "cup"}, {6: HOSTILE}), strict=True):
+        write_map(path, labelled_map(along(cells), np.array(list(cells.values()), np.int32), captions=captions))
+    return paths
+
+
+def test_two_maps_show_what_became_of_each_instance(tmp_path: Path) -> None:
+    a, b = pair_of_maps(tmp_path)
+    assert report(a, b, tmp_path / "both.html").kind == "maps"
+    text = (tmp_path / "both.html").read_text("utf-8")
+    rows = re.findall(r'<tr data-select="([^"]*)".*?</svg>(\w+)</button>', text)
+    assert rows == [
+        ("[[1], [4, 5]]", "split"),
+        ("[[3], []]", "vanished"),
+        ("[[], [7]]", "appeared"),
+        ("[[2], [6]]", "renamed"),
+    ]
+    colors = [scene["palettes"][0] for scene in data_of(text)["maps"]]
+    assert [palette["name"] for palette in colors] == ["difference", "difference"]
+    assert [len(palette["colors"]) for palette in colors] == [3, 4]
+    assert HOSTILE not in text
+
+
+def small_sweep(folder: Path, **changes: Any) -> Path:
+    """A sweep of one recording with two thresholds, as sweep.json says it; the second run failed."""
+    done = {"recording": "tiny", "status": "done", "error": None, "first_outcome": None}
+    done |= {"digests": {"map": "ab" * 32}, "set": 0, "default": True, "parameters": {"association.threshold": 0.4}}
+    failed = {**done, "status": "failed", "error": HOSTILE, "digests": {"map": None}, "set": 1, "default": False}
+    figures = {"instances": 3.0, "voxels": 12345.0, "seconds": 1.5, "failed": 0, "scores": {"ap": 0.25}}
+    means = [{"value": 0.4, "mean": 0.25, "items": 1}, {"value": 0.5, "mean": None, "items": 0}]
+    content = {
+        "format_version": 1,
+        "preset": "openvox",
+        "engine": "cpu",
+        "fixed": [],
+        "failed": 1,
+        "measure": "ap",
+        "varied": {"association.threshold": [0.4, 0.5]},
+        "recordings": [{"name": "tiny", "digests": {"recording": "cd" * 32}}],
+        "items": [done, failed],
+        "sets": [
+            {"set": 0, "parameters": {"association.threshold": 0.4}, "default": True, **figures},
+            {"set": 1, "parameters": {"association.threshold": 0.5}, "default": False, **dict.fromkeys(figures)},
+        ],
+        "effects": [{"parameter": "association.threshold", "measure": "ap", "means": means, "range": 0.0}],
+        "best": {"set": 0, "parameters": {"association.threshold": 0.4}, "score": 0.25, "default_score": 0.25},
+    }
+    folder.mkdir(exist_ok=True)
+    (folder / "sweep.json").write_text(json.dumps({**content, **changes}))
+    return folder
+
+
+def test_a_sweep_shows_its_best_set_every_set_and_what_failed(tmp_path: Path) -> None:
+    assert report(small_sweep(tmp_path / "s"), None, tmp_path / "s.html").kind == "sweep"
+    text = (tmp_path / "s.html").read_text("utf-8")
+    for part in (
+        "The best set",
+        "association.threshold = 0.4",
+        "association.threshold: ap",
+        "What failed",
+        "abababababab",
+    ):
+        assert part in text
+    assert HOSTILE not in text
+
+
+def test_a_sweep_without_truth_has_no_best_set(tmp_path: Path) -> None:
+    report(small_sweep(tmp_path / "s", best=None, measure=None, effects=[]), None, tmp_path / "s.html")
+    assert "Without ground truth" in (tmp_path / "s.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("{", "is no JSON"),
+        ("[]", "no format version"),
+        ('{"format_version": 2}', "use a newer openvox"),
+        ('{"format_version": 1}', "not as a sweep writes it"),
+    ],
+)
+def test_what_is_no_sweep_is_a_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    with pytest.raises(InputError, match=r"holds no sweep\.json"):
+        report(tmp_path, None, tmp_path / "s.html")
+    (tmp_path / "sweep.json").write_text(text)
+    with pytest.raises(InputError, match=sentence):
+        report(tmp_path, None, tmp_path / "s.html")
+
+
 # --- in a browser ----------------------------------------------------------------------------------------------------
 
 
@@ -365,3 +464,28 @@ def test_everything_that_can_be_used_has_a_name(shown: Browser) -> None:
         "e.textContent.trim() && e.matches('button') || e.ariaLabel || e.alt || e.labels?.length)).length"
     )
     assert shown.ask(nameless) == 0
+
+
+def test_two_maps_turn_together_and_a_row_shows_its_thing_in_both(browser: Browser, tmp_path: Path) -> None:
+    a, b = pair_of_maps(tmp_path)
+    report(a, b, tmp_path / "both.html")
+    browser.messages.clear()
+    browser.open(tmp_path / "both.html")
+    assert browser.messages == []
+    drawn(browser)
+    browser.ask("document.querySelector('tr[data-select] button').click()")
+    assert browser.ask("JSON.stringify(scenes.map(s => [...s.selected].map(p => s.map.ids[p - 1])))") == "[[1],[4,5]]"
+    before = browser.screenshot()
+    x, y = middle(browser)
+    browser.drag((x, y), (x + 60, y))
+    assert browser.screenshot() != before
+
+
+def test_the_page_of_a_sweep_loads_and_sorts(browser: Browser, tmp_path: Path) -> None:
+    report(small_sweep(tmp_path / "s"), None, tmp_path / "s.html")
+    browser.messages.clear()
+    browser.open(tmp_path / "s.html", width=360, height=740)
+    assert browser.messages == []
+    browser.ask("[...document.querySelectorAll('#sets th button')].find(b => b.textContent === 'ap').click()")
+    assert browser.ask("document.querySelector('#sets tbody tr td').dataset.value") == "0"
+    assert browser.ask("document.documentElement.scrollWidth <= innerWidth")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from openvox.apps.info import kind_of
@@ -28,7 +28,8 @@ class Report:
     kind: str
     """map, maps or sweep."""
     bytes: int
-    instances: int
+    instances: int | None
+    """Of the map; None for two maps or a sweep."""
     trace: Path | None
     recording: Path | None
     notes: tuple[str, ...]
@@ -38,22 +39,49 @@ class Report:
 def report(first: Path, second: Path | None, out: Path, *, recording: Path | None = None) -> Report:
     """Write one HTML file with all that it shows in it.
 
-    first: a map. second: its trace; without it, STEM.trace.mcap beside the map, if it is the map's. recording: where
-    crops come from; without it, the one that the map names, if it is the same. The same files give the same bytes.
-    Raises InputError, OutputError.
+    first: a map, or the folder of a sweep. second: the map's trace (without it, STEM.trace.mcap beside the map, if it
+    is the map's), or another map to compare it with. recording: where crops come from; without it, the one that the
+    map names, if it is the same. The same files give the same bytes. Raises InputError, OutputError.
     """
     if out.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{out} would be overwritten with a web page; let the last argument end with .html")
+    if first.is_dir():
+        return _written(out, "sweep", _sweep(first, second, recording))
     kind = kind_of(first)
     if kind != "map":
-        raise InputError(f"{first} is a {kind}; a report begins with a map, STEM.map.npz")
+        raise InputError(f"{first} is a {kind}; a report begins with a map, STEM.map.npz, or the folder of a sweep")
+    if second is not None and kind_of(second) == "map":
+        return _written(out, "maps", _two_maps(first, second, recording))
     result = read_map(first)
     text, trace, source, remarks = _one_map(first, result, second, recording)
+    found = _written(out, "map", text)
+    return replace(found, instances=len(result.instances), trace=trace, recording=source, notes=tuple(remarks))
+
+
+def _written(out: Path, kind: str, text: str) -> Report:
     replaced = out.is_file()
     with partial_file(out) as partial:
         partial.write_text(text, "utf-8", newline="\n")
-    size = len(text.encode())
-    return Report(out, replaced, "map", size, len(result.instances), trace, source, tuple(remarks))
+    return Report(out, replaced, kind, len(text.encode()), None, None, None, ())
+
+
+def _sweep(folder: Path, second: Path | None, recording: Path | None) -> str:
+    from openvox.apps.reporting.sweep_page import read_sweep, sweep_page
+
+    for extra in (second, recording):
+        if extra is not None:
+            raise InputError(f"{folder} is the folder of a sweep, whose page takes nothing else; leave out {extra}")
+    return sweep_page(folder.resolve().name, read_sweep(folder))
+
+
+def _two_maps(a: Path, b: Path, recording: Path | None) -> str:
+    from openvox.apps.compare import compare
+    from openvox.apps.reporting.two_maps import maps_page
+
+    if recording is not None:
+        raise InputError(f"{a} and {b} are two maps, whose page has no pictures of a recording; leave out {recording}")
+    names = (a.name.removesuffix(SUFFIX), b.name.removesuffix(SUFFIX))
+    return maps_page(names, (read_map(a), read_map(b)), compare(a, b))
 
 
 def _one_map(

@@ -77,7 +77,7 @@ def scenes(titles: Sequence[str], modes: Sequence[tuple[str, str]], hint: str, l
         tag("span", buttons, class_="buttons"),
     )
     ramp = tag("div", "unsure", tag("span", class_="ramp"), "sure", class_="legend confidence")
-    missing = "This browser cannot draw the map in 3D (it has no WebGL 2); the pictures below show it from four sides."
+    missing = "This browser cannot draw the map in 3D (it has no WebGL 2); what follows works without it."
     return tag(
         "section",
         tag("div", frames, class_="pair two" if len(titles) > 1 else "pair"),
