@@ -1,16 +1,44 @@
-"""explain: why each mask of a frame went where it went, from the trace alone."""
+"""explain: why masks went where they went, the lives of instances and voxels, and what is likely wrong; all from the
+trace alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from openvox.apps.explaining.instance import explain_instance
+from openvox.apps.explaining.mask import explain_mask
+from openvox.apps.explaining.run import read_run
+from openvox.apps.explaining.suspicious import suspicious
+from openvox.apps.explaining.voxel import explain_voxel
 from openvox.core.errors import InputError
 from openvox.core.fixedpoint import Q20
 from openvox.formats.trace import TraceFrame, read_trace, trace_info
 
+TOP = 20
 SHARES = ("s_geo", "s_fea", "a", "threshold", "visibility")
+
+
+def explain(
+    trace: Path,
+    *,
+    frame: int | None = None,
+    mask: int | None = None,
+    instance: int | None = None,
+    at: Sequence[float] | None = None,
+    top: int = TOP,
+) -> dict[str, Any]:
+    """What the trace tells about one thing: a mask of a frame, a frame, an instance, a voxel (`at`, metres); without
+    any of them the `top` decisions most likely wrong. Raises InputError."""
+    if frame is not None and mask is None:
+        return explain_frame(trace, frame)
+    run = read_run(trace)
+    if frame is not None and mask is not None:
+        return explain_mask(run, frame, mask)
+    if instance is not None:
+        return explain_instance(run, instance)
+    return suspicious(run, top) if at is None else explain_voxel(run, at)
 
 
 def explain_frame(trace: Path, frame: int) -> dict[str, Any]:

@@ -43,3 +43,12 @@ def pairs(option: str, texts: list[str]) -> dict[str, str]:
             raise typer.BadParameter(f"{option} {text}: expected ROLE=NAME, each role once")
         found[role] = name
     return found
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """X,Y,Z in metres, for `explain --at`. Raises typer.BadParameter (exit 2)."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}: expected X,Y,Z in metres, as in 1.42,0.98,0.46") from None
+    return x, y, z

@@ -1,4 +1,4 @@
-"""`openvox explain`: why a mask went where it went."""
+"""`openvox explain`: why a mask went where it went, and where to look first."""
 
 from __future__ import annotations
 
@@ -7,48 +7,47 @@ from typing import Annotated
 
 import typer
 
-from openvox.cli import options, tables
+from openvox.cli import explained, options, tables
 
-EXAMPLES = ("openvox explain living.trace.mcap --frame 40",)
+EXAMPLES = (
+    "openvox explain living.trace.mcap --suspicious",
+    "openvox explain living.trace.mcap --frame 40",
+    "openvox explain living.trace.mcap --frame 40 --mask 3",
+    "openvox explain living.trace.mcap --instance 17",
+    "openvox explain living.trace.mcap --at 1.42,0.98,0.46",
+)
 
 
 def explain(
     trace: Annotated[Path, typer.Argument(metavar="TRACE", help="A trace made by replay, STEM.trace.mcap.")],
-    frame: Annotated[int, typer.Option(min=0, metavar="N", help="The frame whose decisions to show.")],
+    frame: Annotated[int | None, typer.Option(min=0, metavar="N", help="The frame whose decisions to show.")] = None,
+    mask: Annotated[int | None, typer.Option(min=0, metavar="M", help="With --frame: one mask in detail.")] = None,
+    instance: Annotated[int | None, typer.Option(min=1, metavar="ID", help="The life of an instance.")] = None,
+    at: Annotated[str | None, typer.Option(metavar="X,Y,Z", help="The history of the voxel there; metres.")] = None,
+    suspicious: Annotated[bool, typer.Option("--suspicious", help="The decisions most likely wrong.")] = False,
+    top: Annotated[int | None, typer.Option(min=1, metavar="K", help="With --suspicious: so many; else 20.")] = None,
     json: options.Json = False,
 ) -> None:
-    """Show why each mask of a frame went where it went.
+    """Show why masks went where they went, and which decisions are most likely wrong.
 
-    Every candidate with its scores, the threshold, and the rule that decided.
+    One of --frame, --instance, --at and --suspicious. A mask: every candidate and what its score consisted of, the rule
+    that decided, margins, the largest contributions, evidence for and against. Coordinates are metres in the world.
     """
+    if sum((frame is not None, instance is not None, at is not None, suspicious)) != 1:
+        raise typer.BadParameter("expected one of --frame, --instance, --at and --suspicious")
+    if mask is not None and frame is None:
+        raise typer.BadParameter("--mask goes with --frame")
+    if top is not None and not suspicious:
+        raise typer.BadParameter("--top goes with --suspicious")
+    point = None if at is None else options.point(at)
     from openvox.apps import explain as application
 
-    tables.show(application.explain_frame(trace, frame), json, print_result)
-
-
-DECISION = ("mask", "caption", "by", "instance", "voxels", "s_geo", "s_fea", "a", "visibility", "credibility")
-
-
-LISTED = 4
-
-
-def print_result(data: tables.Data) -> None:
-    """The decisions of one frame, each with its best candidates, and what they led to."""
-    if not data["looked"]:
-        print(f"frame {data['frame']}: perception did not look at it, so nothing was decided")
-        return
-    print(f"frame {data['frame']}: {len(data['decisions'])} masks")
-    if data["decisions"]:
-        tables.print_table(
-            ["mask", "caption", "rule", "instance", "voxels", "S_geo", "S_fea", "A", "R", "w", "candidates by A"],
-            [[*(decision[name] for name in DECISION), _candidates(decision)] for decision in data["decisions"]],
-            f"threshold of A: {data['decisions'][0]['threshold']:.3f}",
-        )
-    for event in data["events"]:
-        print(f"instance {event['instance']} {event['kind']}: {tables.cell(event['text'])}")
-
-
-def _candidates(decision: tables.Data) -> str:
-    """The best few, as instance and A."""
-    texts = [f"{c['instance']}: {c['a']:.2f}" for c in decision["candidates"]]
-    return "  ".join(texts[:LISTED]) + ("  ..." if len(texts) > LISTED else "")
+    result = application.explain(trace, frame=frame, mask=mask, instance=instance, at=point, top=top or application.TOP)
+    if suspicious:
+        tables.show(result, json, lambda data: explained.print_suspicious(data, trace))
+    elif mask is not None:
+        tables.show(result, json, explained.print_mask)
+    elif frame is not None:
+        tables.show(result, json, explained.print_frame)
+    else:
+        tables.show(result, json, explained.print_voxel if point else explained.print_instance)
