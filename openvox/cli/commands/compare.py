@@ -47,7 +47,7 @@ def print_result(data: tables.Data) -> None:
         tables.print_table(["", *(name.replace("_", " ") for name in sides), "digest"], print_sides)
     changed = {**data["parameters"], **{name: _short(pair) for name, pair in data["inputs"].items()}}
     if changed:
-        rows = [[name, pair["a"], pair["b"]] for name, pair in changed.items()]
+        rows = [[name, _exact(pair["a"]), _exact(pair["b"])] for name, pair in changed.items()]
         tables.print_table(["what was set", "A", "B"], rows)
     _print_first(data)
     if data["instances"] is not None:
@@ -58,6 +58,11 @@ def print_result(data: tables.Data) -> None:
 
 
 _AB = (("A", "a"), ("B", "b"))
+
+
+def _exact(value: object) -> str:
+    """Every digit of a parameter counts."""
+    return tables.cell(str(value) if isinstance(value, float) else value)
 
 
 def _short(pair: tables.Data) -> tables.Data:
