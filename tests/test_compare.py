@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from maps import labelled_map
 from rerun.chunk import RrdReader
@@ -81,6 +81,7 @@ def test_iou_is_that_of_sets_of_voxels() -> None:
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=12)
 
 
+@settings(deadline=None)
 @given(a=LABELS, b=LABELS)
 def test_every_instance_is_in_exactly_one_place(a: list[int], b: list[int]) -> None:
     one, other = row_of(*a), row_of(*b)
@@ -93,6 +94,7 @@ def test_every_instance_is_in_exactly_one_place(a: list[int], b: list[int]) -> N
     assert sorted(of_b) == other.instance_id.tolist()
 
 
+@settings(deadline=None)
 @given(a=LABELS, b=LABELS)
 def test_the_other_way_round_split_is_merged_and_appeared_is_vanished(a: list[int], b: list[int]) -> None:
     there, back = match_instances(row_of(*a), row_of(*b)), match_instances(row_of(*b), row_of(*a))
@@ -100,6 +102,7 @@ def test_the_other_way_round_split_is_merged_and_appeared_is_vanished(a: list[in
     assert sum(len(m) for m in (there.split, back.split)) == sum(len(m) for m in (back.merged, there.merged))
 
 
+@settings(deadline=None)
 @given(labels=LABELS)
 def test_a_map_differs_nowhere_from_itself(labels: list[int]) -> None:
     one = row_of(*labels)
