@@ -80,6 +80,8 @@ class Twin:
         self.together: Counter[Pair] = Counter()
         self.apart: Counter[Pair] = Counter()
         self.moved: set[Voxel] = set()
+        self.bare: Counter[Voxel] = Counter()
+        self.sizes: Counter[int] = Counter()
         self.looked = 0
         self.dimensions = 0
 
@@ -94,28 +96,59 @@ class Twin:
             None if m.embedding is None else [min(127, max(-127, round(float(x) * 127.0))) for x in m.embedding]
             for m in masks
         ]
-        choices = self.associate(view, areas, features)
-        for m in sorted(range(len(masks)), key=lambda m: (-len(every[m]), m)):
-            if choices[m].by == "new":
-                f = self.new_fragment()
-                choices[m] = replace(choices[m], main=f, held={f}, visibility=ONE, credibility=4096)
-        if self.p.evolution.cut:
-            self.cut(masks, areas, view, choices)
-        if self.p.lifecycle.evidence:
-            self.count_pairs(masks, areas, choices)
-            self.count_omissions(masks, areas, view, choices)
-        in_view = sum((self.overlaps(voxels) for voxels in (*view.under, view.bare)), Counter[int]())
-        self.vote(view, choices)
+        areas = {m: areas[m] for m in view.large}
+        order = sorted(range(len(masks)), key=lambda m: (-len(every[m]), m))
+        self.sizes = Counter(self.owner(voxel) for voxel in self.votes)
+        if self.p.association.one_by_one:
+            in_view = sum((self.overlaps(voxels) for voxels in (*view.under, view.bare)), Counter[int]())
+            choices = self.one_by_one(masks, areas, view, features, order)
+            self.halve(view.all)
+        else:
+            choices = self.associate(view, areas, features)
+            self.found(choices, order)
+            if self.p.evolution.cut:
+                self.cut(masks, areas, view, choices)
+            if self.p.lifecycle.evidence:
+                self.count_pairs(masks, areas, choices)
+                self.count_omissions(masks, areas, view, choices)
+            in_view = sum((self.overlaps(voxels) for voxels in (*view.under, view.bare)), Counter[int]())
+            self.halve(self.vote(view, choices) | self.moved)
+            for m, choice in enumerate(choices):
+                self.learn(masks[m], features[m], choice)
         for f, voxels in in_view.items():
             if voxels >= 4:
                 self.fragments[f].seen.add(self.looked)
-        for m, choice in enumerate(choices):
-            self.learn(masks[m], features[m], choice)
         if self.p.lifecycle.evidence:
             self.instance_of = clusters(self.fragments, self.weights())
         self.looked += 1
         self.moved.clear()
         return tuple(self.decision(m, len(view.under[m]), choice) for m, choice in enumerate(choices))
+
+    def found(self, choices: Sequence[Choice], order: Iterable[int]) -> None:
+        for m in order:
+            if choices[m].by == "new":
+                f, choice = self.new_fragment(), choices[m]
+                choice.main, choice.held, choice.visibility, choice.credibility = f, {f}, ONE, 4096
+
+    def one_by_one(
+        self,
+        masks: Sequence[Mask],
+        areas: Mapping[int, set[Pixel]],
+        view: View,
+        features: Sequence[Sequence[int] | None],
+        order: Sequence[int],
+    ) -> list[Choice]:
+        """Each mask meets the votes of those before it; the voxels under none come last."""
+        done: dict[int, Choice] = {}
+        for m in order:
+            alone = View([voxels if i == m else set() for i, voxels in enumerate(view.under)], set(), view.all)
+            choices = self.associate(alone, {i: areas[i] for i in areas if i == m}, features)
+            self.found(choices, [m])
+            self.vote(alone, [choice if i == m else Choice("small") for i, choice in enumerate(choices)])
+            self.learn(masks[m], features[m], choices[m])
+            done[m] = choices[m]
+        self.vote(View([set() for _ in masks], view.bare, view.all), list(done.values()))
+        return [done[m] for m in range(len(masks))]
 
     # -- association: against the map before the frame, each mask for itself ------------------------------------------
 
@@ -173,7 +206,7 @@ class Twin:
         common = self.overlaps(voxels)
         sums: Counter[int] = Counter()
         overlap: Counter[int] = Counter()
-        for f in sorted({f for voxel in voxels for f in self.votes.get(voxel, {}) if f}):
+        for f in sorted({f for voxel in voxels for f in self.votes.get(voxel, {}) if f > 0}):
             sums[self.instance_of[f]] += self.theta_sum(voxels, f)
             overlap[self.instance_of[f]] += common[f]
         weights = [round(w * MILLION) for w in (self.p.association.weight_geometry, self.p.association.weight_feature)]
@@ -205,7 +238,7 @@ class Twin:
         instance = self.instance_of[choice.main]
         choice.chosen = next(c for c in choice.candidates if c.instance == instance)
         members = self.members(instance)
-        size = sum(self.owner(voxel) in members for voxel in self.votes)
+        size = sum(self.sizes[f] for f in members)  # before the frame
         choice.visibility = min(ONE, voxels * ONE // size) if size else ONE
         choice.credibility = max(0, choice.chosen.a * choice.visibility // 2**28)
 
@@ -308,7 +341,7 @@ class Twin:
             if says:
                 self.apart[min(f, g), max(f, g)] += self.p.lifecycle.omission
 
-    def vote(self, view: View, choices: Sequence[Choice]) -> None:
+    def vote(self, view: View, choices: Sequence[Choice]) -> set[Voxel]:
         """Eq. 14: every voxel under a mask votes; with the background rule, voxels under none as well."""
         background = self.p.evolution.background
         held = {f for choice in choices for f in choice.held}
@@ -319,17 +352,26 @@ class Twin:
                 choice.abstained += f == 0
                 cast.append((voxel, f, 2 if background else 1))
         cast = [vote for vote in cast if vote[1]]
-        for voxel in view.bare:
+        if self.p.evolution.veto:
+            self.bare.update(view.bare)
+        for voxel in () if self.p.evolution.veto else view.bare:
             own = self.label(voxel)
             if own in held or own == 0:
                 cast.append((voxel, 0, 2 if own else 1))
+        slots = self.p.association.slots if self.p.association.one_by_one else 0
         for voxel, f, amount in cast:
             counts = self.votes.setdefault(voxel, {})
+            if f not in counts and 0 < slots <= sum(other > 0 for other in counts):
+                f = -1
             counts[f] = counts.get(f, 0) + amount
+        return {voxel for voxel, _, _ in cast}
+
+    def halve(self, voxels: Iterable[Voxel]) -> None:
+        """Full voxels halve their counts, at the end of a frame."""
         limit = 2 * self.p.evolution.halving
-        for voxel in {voxel for voxel, _, _ in cast} | self.moved:
-            counts = self.votes[voxel]
-            if background and limit and sum(counts.values()) > limit:
+        for voxel in voxels:
+            counts = self.votes.get(voxel, {})
+            if self.p.evolution.background and limit and sum(counts.values()) > limit:
                 self.votes[voxel] = {f: n // 2 for f, n in counts.items() if n // 2}
 
     def target(self, voxel: Voxel, choice: Choice) -> int:
@@ -395,7 +437,7 @@ class Twin:
         )
 
     def finish(self) -> InstanceMap:
-        return naive_finish.finish(self.votes, self.fragments, self.instance_of, self.dimensions, self.p)
+        return naive_finish.finish(self.votes, self.bare, self.fragments, self.instance_of, self.dimensions, self.p)
 
 
 def replay(

@@ -34,10 +34,10 @@ def beside(voxel: Voxel, step: tuple[int, ...]) -> Voxel:
 
 
 def by_instance(counts: Mapping[int, int], instance_of: Mapping[int, int]) -> Counter[int]:
-    """A voxel's votes for each instance, 0 = background."""
+    """A voxel's votes for each instance, 0 = background, -1 = nameless."""
     out: Counter[int] = Counter()
     for f, n in counts.items():
-        out[instance_of.get(f, 0)] += n
+        out[instance_of.get(f, f)] += n
     return out
 
 
@@ -100,17 +100,22 @@ def kept_voxels(voxels: set[Voxel], group: list[Piece], p: FinishParameters) -> 
 
 def finish(
     votes: Mapping[Voxel, Mapping[int, int]],
+    bare: Mapping[Voxel, int],
     fragments: Mapping[int, Piece],
     instance_of: Mapping[int, int],
     dimensions: int,
     p: MapperParameters,
 ) -> InstanceMap:
-    order = sorted(voxel for voxel, counts in votes.items() if counts)
-    sums = {voxel: by_instance(votes[voxel], instance_of) for voxel in order}
+    order = sorted({voxel for voxel, counts in votes.items() if counts} | set(bare))
+    sums = {voxel: by_instance(votes.get(voxel, {}), instance_of) for voxel in order}
     shown = {voxel: shown_instance(voxel, sums, p.finish.smoothing) for voxel in order}
+    for voxel in order:
+        if sums[voxel].total() < max(p.finish.min_votes, bare.get(voxel, 0)):
+            shown[voxel] = 0
+    votes = {voxel: {**votes.get(voxel, {}), **({0: bare[voxel]} if voxel in bare else {})} for voxel in order}
 
     def share(voxel: Voxel) -> int:
-        return sums[voxel][shown[voxel]] * ONE // sums[voxel].total()
+        return sums[voxel][shown[voxel]] * ONE // max(1, sums[voxel].total())
 
     ranks = {}
     for instance in sorted(set(shown.values()) - {0}):
@@ -120,12 +125,16 @@ def finish(
         if kept:
             theta = mean_theta(kept, {voxel: share(voxel) for voxel in kept})
             sure = existence(theta, group, fragments.values())
-            ranks[instance] = sure * theta * len(kept) // (len(kept) + 10) // ONE if p.finish.existence else theta
+            ranks[instance] = theta
+            if p.finish.existence and p.finish.ranking == "matches":
+                ranks[instance] = theta * len(frames(group)[0]) // (len(frames(group)[0]) + 2)
+            elif p.finish.existence and p.finish.ranking == "existence":
+                ranks[instance] = sure * theta * len(kept) // (len(kept) + 10) // ONE
             if p.finish.existence and sure < round(p.finish.min_confidence * ONE):
                 kept = set()
         shown.update((voxel, 0) for voxel in voxels - kept)
     ids = sorted(set(shown.values()) - {0})
-    used = sorted({f for voxel in order for f in votes[voxel] if f})
+    used = sorted({f for voxel in order for f in votes[voxel] if f > 0})
     groups = [[fragments[f] for f in fragments if instance_of[f] == i] for i in ids]
     rows = [sorted(votes[voxel].items()) for voxel in order]
     return InstanceMap(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -107,11 +107,19 @@ def square(pixel: Pixel, radius: int) -> Iterator[Pixel]:
 def labels(areas: Mapping[int, set[Pixel]], rig: Rig, p: MapperParameters) -> dict[Pixel, tuple[int, ...] | None]:
     """The masks of each colour pixel: all that cover it, or with one vote the smallest; None = votes for nothing."""
     image: dict[Pixel, tuple[int, ...]] = {(u, v): () for u in range(rig.color.width) for v in range(rig.color.height)}
-    for m in sorted(areas, key=lambda m: (-len(areas[m]), m) if p.masks.one_vote else (0, m)):
+    alone = p.masks.one_vote or p.masks.disjoint
+    for m in sorted(areas, key=lambda m: (-len(areas[m]), m) if alone else (0, m)):
         for pixel in areas[m]:
-            image[pixel] = (m,) if p.masks.one_vote else (*image[pixel], m)
-    if not p.masks.one_vote:
+            image[pixel] = (m,) if alone else (*image[pixel], m)
+    if not alone:
         return dict(image)
+    if p.masks.disjoint:
+        whole = {
+            pixel: here if all(image.get(near) == here for near in square(pixel, p.masks.window)) else None
+            for pixel, here in image.items()
+        }
+        left = Counter(whole.values())
+        return {pixel: None if here and left[here] < p.masks.min_pixels else here for pixel, here in whole.items()}
     return {
         pixel: None if any(image.get(near, here) != here for near in square(pixel, p.masks.erosion)) else here
         for pixel, here in image.items()
@@ -136,6 +144,8 @@ class View:
     under: list[set[Voxel]]
     bare: set[Voxel]
     all: set[Voxel]
+    large: set[int] = field(default_factory=set)
+    """Masks of which enough is left."""
 
 
 def view_of(frame: Frame, masks: int, areas: Mapping[int, set[Pixel]], p: MapperParameters) -> View:
@@ -159,6 +169,26 @@ def view_of(frame: Frame, masks: int, areas: Mapping[int, set[Pixel]], p: Mapper
             over = {m for label in counts for m in label}
         for m in over:
             view.under[m].add(voxel)
-        if not over and p.evolution.background:
+        if not over and (p.evolution.background or p.evolution.veto):
             view.bare.add(voxel)
+    left = Counter(image.values())
+    view.large = {m for m in areas if not p.masks.disjoint or left[m,] >= p.masks.min_pixels}
+    if p.masks.inliers:
+        view.under = [inliers(voxels) for voxels in view.under]
     return view
+
+
+def inliers(voxels: set[Voxel]) -> set[Voxel]:
+    """Without those whose mean distance to their ten nearest is 0, or not below the mean by two deviations."""
+    apart = {
+        here: sum(sorted(math.isqrt(dot(step, step) * ONE) for step in steps(here, voxels))[:10]) for here in voxels
+    }
+    n, total = len(apart), sum(apart.values())
+    squares = sum((n * x - total) ** 2 for x in apart.values())
+    return {
+        voxel for voxel, x in apart.items() if x > 0 and (n * x < total or (n - 1) * (n * x - total) ** 2 < 4 * squares)
+    }
+
+
+def steps(here: Voxel, voxels: Iterable[Voxel]) -> list[list[int]]:
+    return [[a - b for a, b in zip(here, there, strict=True)] for there in voxels]

@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
+from openvox.core.mapper_parameters import OFFICIAL, OPENVOX, PAPER, MapperParameters
 from openvox.core.parameters import describe, updated
 from openvox.core.types import MASK_KINDS, Frame, Intrinsics, Mask, Pose, Rig
 
@@ -138,7 +138,9 @@ def rigs() -> st.SearchStrategy[Rig]:
 @st.composite
 def parameters(draw: st.DrawFn) -> MapperParameters:
     """A preset, or any switches (what rests on a switch that is off is off, too) and numbers."""
-    chosen = small(draw(st.sampled_from([OPENVOX, PAPER, OPENVOX])))
+    chosen = small(draw(st.sampled_from([OPENVOX, PAPER, OFFICIAL])))
+    if chosen.evolution.background is False and draw(st.booleans()):
+        chosen = updated(chosen, {"evolution.veto": True}, source="test")
     off = draw(st.one_of(st.just([]), st.lists(st.sampled_from(SWITCHES), unique=True, max_size=4)))
     out = updated(chosen, dict.fromkeys(off, False), source="test")
     numbers: dict[str, list[Any]] = {
@@ -155,6 +157,10 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
         "lifecycle.contradiction": [1.0, 1.5],
         "lifecycle.nested": [0.3, 0.7],
         "finish.smoothing": [0, 1, 3],
+        "masks.window": [0, 1],
+        "association.slots": [0, 1, 2],
+        "finish.ranking": ["share", "matches", "existence"],
+        "finish.min_votes": [0, 2],
         "finish.min_frames": [0, 2],
         "finish.min_part": [0.05, 0.4],
         "finish.min_confidence": [0.0, 0.12],

@@ -18,7 +18,7 @@ from openvox.apps.ingest import ingest
 from openvox.apps.perceive import perceive
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
-from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
+from openvox.core.mapper_parameters import OPENVOX, PRESETS, MapperParameters
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Rig, VoxelChanges
 from openvox.formats.perception import read_masks
 from openvox.formats.recording import read_frames
@@ -84,7 +84,7 @@ def few_pixels(preset: MapperParameters) -> MapperParameters:
     return replace(preset, map=replace(preset.map, voxel_size=0.1), masks=masks)
 
 
-@pytest.mark.parametrize("preset", [OPENVOX, PAPER], ids=["openvox", "paper"])
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=list(PRESETS))
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_engine_is_naive_on_the_bundled_recording(preset: MapperParameters, engine: str) -> None:
     frames = read_frames(RECORDINGS / "living_demo.mcap", end=28, truth=False)
@@ -93,7 +93,7 @@ def test_the_engine_is_naive_on_the_bundled_recording(preset: MapperParameters, 
     assert_engine_is_naive(thin, few_pixels(preset), engine)
 
 
-@pytest.mark.parametrize("preset", [OPENVOX, PAPER], ids=["openvox", "paper"])
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=list(PRESETS))
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_engine_is_naive_with_two_real_cameras(
     preset: MapperParameters, engine: str, shared_data: Path, tmp_path: Path

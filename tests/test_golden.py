@@ -25,13 +25,13 @@ def replayed(folder: Path, *options: str, **environment: str) -> dict[str, str]:
     return digests
 
 
-@pytest.mark.parametrize("preset", ["openvox", "paper"])
+@pytest.mark.parametrize("preset", ["openvox", "official", "paper"])
 def test_the_bundled_recording_gives_the_golden_map_and_trace(tmp_path: Path, preset: str) -> None:
     assert replayed(tmp_path, "--preset", preset) == GOLDEN[preset]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs torch; tools/test --torch")
-@pytest.mark.parametrize("preset", ["openvox", "paper"])
+@pytest.mark.parametrize("preset", ["openvox", "official", "paper"])
 def test_the_torch_engine_gives_the_golden_map_and_trace(tmp_path: Path, preset: str) -> None:
     assert replayed(tmp_path, "--preset", preset, "--engine", "torch") == GOLDEN[preset]
 

@@ -46,8 +46,10 @@ def test_counts_are_positive_and_a_voxel_is_as_sure_as_the_share_of_what_it_show
         row = slice(result.vote_offset[voxel], result.vote_offset[voxel + 1])
         shares: dict[int, float] = {}
         for fragment, count in zip(result.vote_fragment[row].tolist(), result.vote_count[row].tolist(), strict=True):
-            key = 0 if fragment == 0 else of[fragment] or -1  # -1: of instances that were dropped
-            shares[key] = shares.get(key, 0.0) + count / result.vote_count[row].sum()
+            key = of.get(fragment, -1) or (-1 if fragment else 0)  # -1: nameless, or of instances that were dropped
+            if fragment or not world.parameters.evolution.veto:
+                shares[key] = shares.get(key, 0.0) + count
+        shares = {key: count / sum(shares.values()) for key, count in shares.items()}
         assert result.voxel_confidence[voxel] == pytest.approx(shares.get(shown, 0.0), abs=1e-5)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from openvox.core.errors import InputError
-from openvox.core.mapper_parameters import OPENVOX, PAPER, PRESETS, preset
+from openvox.core.mapper_parameters import OFFICIAL, OPENVOX, PAPER, PRESETS, preset
 from openvox.core.parameters import as_dict, describe, from_assignments, from_toml, parameter, updated
 
 
@@ -122,11 +122,19 @@ def test_every_parameter_of_a_preset_is_described_and_within_its_range(name: str
         assert row.why, row.name
         assert row.range, row.name
         assert not row.needs or isinstance(values[row.needs], bool), row.name
-        assert updated(OPENVOX, {row.name: values[row.name]}, source="test") is not None
+        if (not row.needs or values[row.needs]) and not (row.without and values[row.without]):
+            assert updated(preset(name), {row.name: values[row.name]}, source="test") == preset(name)
+
+
+def test_what_another_switch_replaces_cannot_be_set_beside_it() -> None:
+    sentence = "evolution.veto has no effect here, because evolution.background is on; set evolution.background=false"
+    with pytest.raises(InputError, match=sentence):
+        updated(OPENVOX, {"evolution.veto": True}, source="--set")
+    assert not updated(OFFICIAL, {"masks.one_vote": True}, source="--set").masks.inliers  # rests on what it replaces
 
 
 def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
-    with pytest.raises(InputError, match="no preset 'best'; known: openvox, paper"):
+    with pytest.raises(InputError, match="no preset 'best'; known: openvox, official, paper"):
         preset("best")
 
 

@@ -28,7 +28,7 @@ def masks(frame: Frame) -> tuple[Mask, ...]:
     return tuple(replace(mask, embedding=rows[i % 8]) for i, mask in enumerate(truth_masks(frame)))
 
 
-@pytest.mark.parametrize("preset", ["openvox", "paper"])
+@pytest.mark.parametrize("preset", ["openvox", "official", "paper"])
 @pytest.mark.parametrize("stop", [1, 2, 4])
 def test_a_resumed_run_is_the_run_that_never_stopped(tmp_path: Path, preset: str, stop: int) -> None:
     chosen = replace(PRESETS[preset], masks=replace(PRESETS[preset].masks, min_pixels=0, erosion=0, step_margin=0))
@@ -83,7 +83,7 @@ def replayed(recording: Path, out: Path, **options: Any) -> dict[str, Any]:
     return replay(recording, out=str(out), assignments=["masks.min_pixels=0", *options.pop("sets", [])], **options)
 
 
-@pytest.mark.parametrize("preset", ["openvox", "paper"])
+@pytest.mark.parametrize("preset", ["openvox", "official", "paper"])
 @pytest.mark.parametrize("stride", [1, 2])
 def test_replay_resumed_at_any_frame_gives_the_digests_of_the_whole_run(
     tmp_path: Path, preset: str, stride: int

@@ -1,7 +1,7 @@
 """All parameters of the mapper, and the presets as named sets of them.
 
 `paper` is the plain method of the OpenVox paper; `openvox` adds rules, each with a switch of its own. With every
-switch off, `openvox` is `paper`, digest and all (a test holds this).
+switch off, `openvox` is `paper`, digest and all (a test holds this). `official` makes the choices of the authors' code.
 """
 
 from __future__ import annotations
@@ -35,6 +35,26 @@ class MaskParameters:
     step_margin: int = parameter(
         2, "px", 0, 20, needs="masks.one_vote", why="pixels this near to a depth step (60 mm + 2 %) vote for nothing"
     )
+    disjoint: bool = parameter(
+        False,
+        "",
+        without="masks.one_vote",
+        why="the smaller mask wins a pixel, but a voxel may lie under several; authors' code",
+    )
+    window: int = parameter(
+        2,
+        "px",
+        0,
+        20,
+        needs="masks.disjoint",
+        why="a mask keeps the pixels whose square of this radius lies in it, and must keep min_pixels; authors' code",
+    )
+    inliers: bool = parameter(
+        False,
+        "",
+        needs="masks.disjoint",
+        why="a mask's voxels whose ten nearest lie farther than the mean by two deviations are left out; authors' code",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +78,20 @@ class AssociationParameters:
         16,
         needs="evolution.background",
         why="for association a voxel keeps its id while factor x count > background; 1 = as in the output",
+    )
+    one_by_one: bool = parameter(
+        False,
+        "",
+        without="association.containment",
+        why="the masks of a frame, large to small, each meet the map with the votes of those before; authors' code",
+    )
+    slots: int = parameter(
+        0,
+        "ids",
+        0,
+        1000,
+        needs="association.one_by_one",
+        why="a voxel counts so many ids, first come, first kept; later ones are nameless votes; 0 = no limit",
     )
 
 
@@ -101,6 +135,12 @@ class EvolutionParameters:
         100.0,
         needs="evolution.cut",
         why="togetherness of the two sides, times the mean moved votes: about what they had counted as two from the start",
+    )
+    veto: bool = parameter(
+        False,
+        "",
+        without="evolution.background",
+        why="a voxel seen more often under no mask than voted for shows nothing; the simplest cure for spill",
     )
 
 
@@ -150,6 +190,7 @@ class FinishParameters:
         100,
         why="a voxel decides on weight x its own counts + those of its six neighbours; 0 = on its own alone",
     )
+    min_votes: int = parameter(0, "votes", 0, 1_000_000, why="a voxel with fewer votes shows nothing; authors' code: 4")
     existence: bool = parameter(True, "", why="objects that too few frames matched are dropped")
     min_frames: int = parameter(
         2, "frames", 0, 1000, needs="finish.existence", why="matched frames an object must have"
@@ -174,6 +215,13 @@ class FinishParameters:
     min_confidence: float = parameter(
         0.16, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
     )
+    ranking: str = parameter(
+        "existence",
+        "",
+        choices=("share", "matches", "existence"),
+        needs="finish.existence",
+        why="confidence: mean share of votes; times k/(k+2) of k frames matched; or how surely it exists x expected overlap",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +244,16 @@ PAPER = MapperParameters(
     lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
     finish=replace(OPENVOX.finish, smoothing=0, existence=False),
 )
-PRESETS = {"openvox": OPENVOX, "paper": PAPER}
+OFFICIAL = replace(
+    PAPER,
+    masks=replace(PAPER.masks, min_pixels=100, disjoint=True, inliers=True),
+    association=replace(PAPER.association, one_by_one=True, slots=3),
+    finish=replace(
+        PAPER.finish, existence=True, min_votes=4, min_frames=3, min_share=0.0, min_voxels=15, min_part=0.0,
+        min_confidence=0.0, ranking="share",
+    ),
+)  # fmt: skip
+PRESETS = {"openvox": OPENVOX, "official": OFFICIAL, "paper": PAPER}
 
 
 def preset(name: str) -> MapperParameters:

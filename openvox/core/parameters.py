@@ -29,11 +29,21 @@ def parameter(
     why: str,
     choices: tuple[str, ...] = (),
     needs: str = "",
+    without: str = "",
 ) -> Any:
-    """A field of a group. `needs`: dotted name of the switch without which this parameter has no effect."""
+    """A field of a group. `needs`: dotted name of the switch without which this parameter has no effect; `without`: of
+    the switch with which it has none."""
     return dataclasses.field(
         default=default,
-        metadata={"unit": unit, "low": low, "high": high, "why": why, "choices": choices, "needs": needs},
+        metadata={
+            "unit": unit,
+            "low": low,
+            "high": high,
+            "why": why,
+            "choices": choices,
+            "needs": needs,
+            "without": without,
+        },
     )
 
 
@@ -48,6 +58,7 @@ class Description:
     high: float | None
     choices: tuple[str, ...]
     needs: str
+    without: str
     why: str
 
     @property
@@ -105,6 +116,12 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str) -> Se
                 f"{source}: {name} has no effect here, because {needs} is off; "
                 f"set {needs}=true as well, or leave it out"
             )
+        without = described[name].without
+        if without and values[without] and _checked(described[name], changes[name], source) is not False:
+            raise InputError(
+                f"{source}: {name} has no effect here, because {without} is on; "
+                f"set {without}=false as well, or leave it out"
+            )
     groups = {}
     for group in dataclasses.fields(parameters):  # type: ignore[arg-type]
         old = getattr(parameters, group.name)
@@ -115,9 +132,13 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str) -> Se
 
 
 def _switch_off(described: Mapping[str, Description], values: dict[str, Value]) -> None:
-    """Turn off every switch whose own switch is off, and what rests on those in turn."""
+    """Turn off every switch whose own switch is off, or that another one replaces, and what rests on those in turn."""
     while True:
-        off = [name for name, row in described.items() if row.needs and values[name] is True and not values[row.needs]]
+        off = [
+            name
+            for name, row in described.items()
+            if values[name] is True and ((row.needs and not values[row.needs]) or (row.without and values[row.without]))
+        ]
         if not off:
             return
         values.update(dict.fromkeys(off, False))

@@ -34,11 +34,15 @@ def finished_map(
     """The map of all votes: voxel keys by number, then voxel number, fragment and count of every vote, unordered."""
     keys, row, fragment, count = _sorted_votes(*votes)
     owner = np.array([0, *(instance_of[f] for f in range(1, len(fragments) + 1))], np.int64)
-    own_row, own_id, own_count = _sum_by_instance(row, owner[fragment], count)
+    voted = fragment >= int(parameters.evolution.veto)  # nameless votes and a veto's are in totals alone
+    own_row, own_id, own_count = _sum_by_instance(row[voted], owner[fragment[voted]], count[voted])
     shown = _strongest(*_smoothed(keys, own_row, own_id, own_count, parameters.finish.smoothing), len(keys))
     members = members_of(instance_of)
     memories = {instance: memory_of(fragments[f] for f in group) for instance, group in members.items()}
-    total = np.bincount(row, count, len(keys)).astype(np.int64)
+    bare = (fragment == 0) & parameters.evolution.veto
+    total = np.bincount(row[~bare], count[~bare], len(keys)).astype(np.int64)
+    vetoed = np.bincount(row[bare], count[bare], len(keys)) > total
+    shown = np.where(vetoed | (total < parameters.finish.min_votes), 0, shown)
     share = _share(own_row, own_id, own_count, shown, total)
     gone: dict[int, str] = {}
     shown = _existing(shown, keys, memories, parameters.finish, gone)
@@ -47,7 +51,10 @@ def finished_map(
     if parameters.finish.existence:
         existence = _existence(theta, memories)
         shown = _sure(shown, existence, parameters.finish.min_confidence, gone)
-        confidence = {i: _expected_overlap(value, theta[i], sizes[i]) for i, value in existence.items()}
+        if parameters.finish.ranking == "matches":
+            confidence = {i: value * memories[i].matched // (memories[i].matched + 2) for i, value in theta.items()}
+        elif parameters.finish.ranking == "existence":
+            confidence = {i: _expected_overlap(value, theta[i], sizes[i]) for i, value in existence.items()}
     share = _share(own_row, own_id, own_count, shown, total)
     kept = [i for i in np.unique(shown).tolist() if i > 0]
     index = projection.voxel_index(keys)

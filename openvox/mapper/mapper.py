@@ -61,25 +61,28 @@ class Mapper:
             return self._result(frame, (), False, (), (), _no_changes(self._engine.voxels))
         self._check(frame, masks)
         self._lap("masks")
-        kept = [mask if mask.area >= self.parameters.masks.min_pixels else None for mask in masks]
-        image, members = self._engine.label_image(kept, frame.rig)
+        large = [mask if mask.area >= self.parameters.masks.min_pixels else None for mask in masks]
+        painted = self._engine.label_image(large, frame.rig)
+        kept = painted.masks
         self._lap("project")
-        region = self._engine.observe(frame, image, members, len(masks))
+        region = self._engine.observe(frame, painted)
         self._lap("associate")
         look = self._engine.look(region, len(self._fragments))
         features = [None if mask.embedding is None else fixedpoint.quantised(mask.embedding) for mask in masks]
-        associations = associate_frame(
-            kept, features, region.voxels_of_mask, look.fragments, look.theta_sum, look.overlap,
-            self._fragments, self._evidence.instance_of, self._evidence.members, self.parameters,
-        )  # fmt: skip
-        self._lap("evolve")
-        nesting = Nesting(kept, self.parameters.lifecycle.nested)
-        events = self._found(frame, masks, associations)
-        look, pieces = self._cut(frame, kept, associations, region, look, nesting, events)
-        self._count_pairs(kept, associations, nesting, look)
-        abstained = self._vote(region, look, associations)
-        changes = self._settle(look)
-        self._learn(frame, masks, features, associations, look)
+        if self.parameters.association.one_by_one:
+            associations, abstained, events = self._one_by_one(frame, masks, kept, features, region)
+            pieces: list[int] = []
+        else:
+            associations = self._associate(kept, features, region, look)
+            self._lap("evolve")
+            nesting = Nesting(kept, self.parameters.lifecycle.nested)
+            events = self._found(frame, masks, associations)
+            look, pieces = self._cut(frame, kept, associations, region, look, nesting, events)
+            self._count_pairs(kept, associations, nesting, look)
+            abstained = self._vote(region, look, associations)
+            self._learn(frame, masks, features, associations)
+        changes = self._settle(region, look)
+        self._see(look)
         touched = self._cluster(associations, pieces)
         events += self._life.follow(frame.index, self._evidence, self._fragments, touched)
         self._looked += 1
@@ -146,6 +149,37 @@ class Mapper:
                     f"{self._dimensions}; run perceive with one encoder for the whole recording"
                 )
             self._dimensions = dimensions
+
+    def _associate(
+        self, kept: Sequence[Mask | None], features: Features, region: Region, look: Look
+    ) -> list[Association]:
+        return associate_frame(
+            kept, features, region.voxels_of_mask, look.fragments, look.theta_sum, look.overlap,
+            self._fragments, self._evidence.instance_of, self._evidence.members, self.parameters,
+        )  # fmt: skip
+
+    def _one_by_one(
+        self,
+        frame: Frame,
+        masks: Sequence[Mask],
+        kept: Sequence[Mask | None],
+        features: Features,
+        region: Region,
+    ) -> tuple[list[Association], NDArray[np.int64], list[Event]]:
+        """Large to small, each mask meets the map with the votes of those before; what lies under none comes last."""
+        order = sorted(range(len(masks)), key=lambda m: (-masks[m].area, m))
+        done: dict[int, Association] = {}
+        abstained, events = np.zeros(len(masks) + 1, np.int64), []
+        for m in [*order, len(masks)]:
+            part = region.under(m)
+            look = self._engine.look(part, len(self._fragments))
+            alone = [mask if i == m else None for i, mask in enumerate(kept)]
+            here = self._associate(alone, features, part, look)[m : m + 1]
+            events += self._found(frame, masks, here)
+            abstained += self._vote(part, look, here or list(done.values()))
+            self._learn(frame, masks, features, here)
+            done.update((one.mask, one) for one in here)
+        return [done[m] for m in range(len(masks))], abstained, events
 
     # ---- evolution ---------------------------------------------------------------------------------------------------
 
@@ -226,9 +260,9 @@ class Mapper:
             undecided[one.mask] = self._is_undecided(one)
         return self._engine.vote(region, look, held, main, undecided)
 
-    def _settle(self, look: Look) -> VoxelChanges:
+    def _settle(self, region: Region, look: Look) -> VoxelChanges:
         """The votes of the frame are counted: fragments learn the voxels that they won and lost."""
-        changes, owner = self._engine.settle(look)
+        changes, owner = self._engine.settle(region, look)
         for ids, sign in ((look.owner, -1), (owner, 1)):
             won, voxels = np.unique(ids[look.owner != owner], return_counts=True)
             for f, n in zip(won.tolist(), voxels.tolist(), strict=True):
@@ -242,19 +276,17 @@ class Mapper:
         held = sorted(one.held)
         return any(self._evidence.kept_apart(f, g) for i, f in enumerate(held) for g in held[i + 1 :])
 
-    def _learn(
-        self,
-        frame: Frame,
-        masks: Sequence[Mask],
-        features: Features,
-        associations: Sequence[Association],
-        look: Look,
-    ) -> None:
-        """What the frame adds to the fragments' memories: features, captions, scores, when they were in view."""
-        bit = 1 << self._looked
+    def _see(self, look: Look) -> None:
+        """Which fragments were in view."""
         for f, voxels in zip(look.fragments.tolist(), look.overlap.sum(0).tolist(), strict=True):
             if voxels >= MIN_SEEN:
-                self._fragments[f].seen |= bit
+                self._fragments[f].seen |= 1 << self._looked
+
+    def _learn(
+        self, frame: Frame, masks: Sequence[Mask], features: Features, associations: Sequence[Association]
+    ) -> None:
+        """What the masks add to the fragments' memories: features, captions, scores, when they were matched."""
+        bit = 1 << self._looked
         for one in associations:
             if not one.main:
                 continue

@@ -21,7 +21,8 @@ def replay(
     recording: options.Recording,
     perception: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
     preset: Annotated[
-        Literal["openvox", "paper"], typer.Option(help="openvox: with the added rules; paper: the plain method.")
+        Literal["openvox", "official", "paper"],
+        typer.Option(help="openvox: with the added rules; official: as the authors' code; paper: the plain method."),
     ] = "openvox",
     params: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")

@@ -21,8 +21,9 @@ NO_COLOR = projection.ColorLookup(np.zeros((3, 3), np.int64), np.zeros(3, np.int
 class CpuKernels:
     """A hash table of rows over keys; a row is a voxel: its key, its background count, the head of a list of votes."""
 
-    def __init__(self) -> None:
+    def __init__(self, slots: int) -> None:
         self.voxels = 0
+        self._limit = slots
         self._room = 1 << 12
         self._keys = np.empty(FIRST, np.int64)
         self._table = pixels.rebuilt(self._keys, 0, 2 * FIRST)
@@ -62,7 +63,7 @@ class CpuKernels:
     def look_up(self, keys: Longs, hidden_evidence: int) -> tuple[Ints, Ints, Ints]:
         """See `Kernels`."""
         rows, owner, label = votes.look_up(
-            keys, self._table, self._keys, self._heads, self._backgrounds, *self._lists, hidden_evidence
+            keys, self._table, self._keys, self._heads, self._backgrounds, *self._lists, hidden_evidence, self._limit
         )
         return rows, owner, label
 
@@ -117,7 +118,9 @@ class CpuKernels:
         self._fragment = _grown(self._fragment, total, 0)
         self._count = _grown(self._count, total, 0)
         self._next = _grown(self._next, total, EMPTY)
-        votes.add_votes(rows, fragments, amounts, self._heads, self._backgrounds, *self._lists, self._slots)
+        votes.add_votes(
+            rows, fragments, amounts, self._heads, self._backgrounds, *self._lists, self._slots, self._limit
+        )
 
     def move_votes(self, rows: Ints, source: int, target: int) -> None:
         """See `Kernels`."""
@@ -137,7 +140,7 @@ class CpuKernels:
 
     def owners(self, rows: Ints) -> tuple[Ints, Ints]:
         """See `Kernels`."""
-        owner, share = votes.owners(rows, self._heads, self._backgrounds, *self._lists)
+        owner, share = votes.owners(rows, self._heads, self._backgrounds, *self._lists, self._limit)
         return owner, share
 
     def votes(self) -> tuple[Longs, Ints, Ints, Ints]:

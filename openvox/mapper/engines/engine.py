@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,17 @@ from numpy.typing import NDArray
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.types import DepthImage, Frame, Mask, Rig, VoxelChanges
 from openvox.mapper import projection
-from openvox.mapper.engines import paint, pixels
+from openvox.mapper.engines import labels, paint, pixels
+from openvox.mapper.engines.labels import read_only
+from openvox.mapper.engines.outliers import inliers
 from openvox.mapper.engines.pixels import EMPTY
 
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.int64)
+NAMELESS = -1
+"""The fragment of votes for ids beyond the limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +40,15 @@ class Region:
     masks: int
     voxels_of_mask: Longs
     """(masks,): |V_m|."""
+
+    def under(self, mask: int) -> Region:
+        """What lies under one mask alone, or under none."""
+        voxel = self.pair_voxel[self.pair_mask == mask]
+        alone = np.zeros_like(self.voxels_of_mask)
+        if mask < self.masks:
+            alone[mask] = len(voxel)
+        pairs = np.arange(len(voxel), dtype=np.int32), np.full(len(voxel), mask, np.int32)
+        return Region(self.keys[voxel], *pairs, self.masks, alone)
 
 
 @dataclass(eq=False)
@@ -68,7 +81,10 @@ class View:
 
 
 class Kernels(Protocol):
-    """What an engine brings: the votes of all voxels, and three kernels over them. Rows are voxels by number."""
+    """What an engine brings: the votes of all voxels, and three kernels over them. Rows are voxels by number.
+
+    A voxel has a list of ids with votes, and one count that is no id's: background's, or with a limit of ids (`slots`)
+    that of all ids beyond it, which has a part in the total but wins over nobody."""
 
     voxels: int
 
@@ -94,7 +110,7 @@ class Kernels(Protocol):
         """New voxels, numbered on in the order of their keys."""
 
     def add_votes(self, rows: Ints, fragments: Ints, amounts: Ints) -> None:
-        """Count votes; fragment 0 = background."""
+        """Count votes; fragment 0 = no id. What finds no slot becomes 0 in `fragments`; then rows must be distinct."""
 
     def move_votes(self, rows: Ints, source: int, target: int) -> None:
         """Rename the votes for `source` in distinct rows."""
@@ -112,15 +128,17 @@ class Kernels(Protocol):
         """Keys by row, and all votes: row, fragment (0 = background), count; unordered."""
 
 
-def kernels(name: str) -> Kernels:
-    """The kernels of engine `name`, over an empty map. Raises InputError where it cannot run here."""
+def kernels(name: str, slots: int) -> Kernels:
+    """The kernels of engine `name`, over an empty map; slots: ids that a voxel may hold, 0 = no limit.
+
+    Raises InputError where the engine cannot run here."""
     if name == "torch":
         from openvox.mapper.engines.torch_kernels import TorchKernels
 
-        return TorchKernels()
+        return TorchKernels(slots)
     from openvox.mapper.engines.cpu import CpuKernels
 
-    return CpuKernels()
+    return CpuKernels(slots)
 
 
 class Engine:
@@ -129,10 +147,14 @@ class Engine:
     def __init__(self, parameters: MapperParameters, name: str = "cpu") -> None:
         self.name = name
         self._parameters = parameters
-        self._kernels = kernels(name)
+        one_by_one = parameters.association.one_by_one
+        self._slots = parameters.association.slots if one_by_one else 0
+        self._kernels = kernels(name, self._slots)
         self._max_mm = min(projection.MAX_MILLIMETRES, int(parameters.map.max_depth * 1000))
         self._hidden = parameters.association.hidden_evidence if parameters.evolution.background else 1
         self._rig: Rig | None = None
+        self._bare = np.zeros(1, np.int32)  # with evolution.veto: how often each voxel was seen under no mask
+        self._new_keys: list[Longs] = []
         self._told = 0
         self._changed: list[tuple[Ints, Ints]] = []
 
@@ -148,36 +170,14 @@ class Engine:
 
     # ---- pixels to voxels -------------------------------------------------------------------------------------------
 
-    def label_image(self, masks: Sequence[Mask | None], rig: Rig) -> tuple[Ints, list[tuple[int, ...]]]:
-        """Masks painted into colour pixels, and the masks behind each label (0 = none, -1 = votes for nothing)."""
-        if self._parameters.masks.one_vote:
-            return self._smallest_on_top(masks, rig)
-        image = np.zeros((rig.color.height, rig.color.width), np.int32)
-        members: list[tuple[int, ...]] = [()]
-        for m, mask in enumerate(masks):
-            if mask is None:
-                continue
-            after = np.full(len(members), EMPTY, np.int64)
-            paint.paint_combination(image, read_only(mask.bits), *mask.box, after, len(members))
-            made = [int(before) for before in np.flatnonzero(after >= 0)]
-            made.sort(key=lambda before: int(after[before]))
-            members += [(*members[before], m) for before in made]
-        return image, members
-
-    def _smallest_on_top(self, masks: Sequence[Mask | None], rig: Rig) -> tuple[Ints, list[tuple[int, ...]]]:
-        image = np.zeros((rig.color.height, rig.color.width), np.int32)
-        areas = {m: mask.area for m, mask in enumerate(masks) if mask is not None}
-        order = sorted(areas, key=lambda m: (areas[m], -m))  # the smallest first, so that it has the lowest label
-        for label in range(len(order), 0, -1):
-            mask = masks[order[label - 1]]
-            assert mask is not None
-            paint.paint(image, read_only(mask.bits), *mask.box, label)
-        members: list[tuple[int, ...]] = [(), *((m,) for m in order)]
-        if not self._parameters.masks.erosion:
-            return image, members
-        out = np.empty_like(image)
-        paint.blur_borders(image, self._parameters.masks.erosion, np.empty(image.shape, np.uint8), out)
-        return out, members
+    def label_image(self, masks: Sequence[Mask | None], rig: Rig) -> labels.Painted:
+        """The masks painted into colour pixels as the parameters want it."""
+        p = self._parameters.masks
+        if p.one_vote:
+            return labels.smallest_on_top(masks, rig.color, p.erosion)
+        if p.disjoint:
+            return labels.disjoint(masks, rig.color, p.window, p.min_pixels)
+        return labels.combinations(masks, rig.color)
 
     def _set_rig(self, rig: Rig) -> None:
         if rig == self._rig:
@@ -188,7 +188,7 @@ class Engine:
         self._skip = np.zeros((rig.depth.height, rig.depth.width), np.uint8)
         self._near = np.zeros_like(self._skip)
 
-    def observe(self, frame: Frame, image: Ints, members: list[tuple[int, ...]], masks: int) -> Region:
+    def observe(self, frame: Frame, painted: labels.Painted) -> Region:
         """Depth pixels to voxels with their masks. Raises InputError where the pose leaves the map's range."""
         self._set_rig(frame.rig)
         p = self._parameters
@@ -196,7 +196,8 @@ class Engine:
         depth = read_only(np.ascontiguousarray(frame.depth))
         paint.depth_steps(depth, p.masks.step_margin if p.masks.one_vote else 0, self._near, self._skip)
         view = View(depth, self._skip, self._max_mm, self._rays, transform, self._color)
-        keys, voxel, label, count = self._kernels.count_pixels(view, image)
+        keys, voxel, label, count = self._kernels.count_pixels(view, painted.image)
+        members, masks = painted.members, len(painted.masks)
         if p.masks.one_vote:
             most = pixels.majority(len(keys), voxel, label, count)
             mask = np.array([masks, *(group[0] for group in members[1:])], np.int32)[most]
@@ -204,7 +205,10 @@ class Engine:
             if not p.evolution.background:
                 pair_voxel, pair_mask = pair_voxel[mask < masks], mask[mask < masks]
         else:
-            pair_voxel, pair_mask = _expanded(voxel, label, members, masks, p.evolution.background)
+            pair_voxel, pair_mask = _expanded(voxel, label, members, masks, p.evolution.background or p.evolution.veto)
+            if p.masks.inliers:
+                kept = inliers(projection.voxel_index(keys), pair_voxel, pair_mask, masks)
+                pair_voxel, pair_mask = pair_voxel[kept], pair_mask[kept]
         return Region(keys, pair_voxel, pair_mask, masks, np.bincount(pair_mask, minlength=masks + 1)[:masks])
 
     # ---- reading ----------------------------------------------------------------------------------------------------
@@ -235,46 +239,69 @@ class Engine:
         background if its fragment is held (the detector saw the thing and left this voxel out) or if it has none."""
         p = self._parameters.evolution
         target = self._kernels.targets(region, look, held, main, undecided, p.voxel_votes)
+        if p.veto:
+            target[region.pair_mask == region.masks] = 0
         doubtful = (target == 0) & (look.label[region.pair_voxel] == 0)
         amount = np.where(doubtful, 1, 2 if p.background else 1).astype(np.int32)
         casts = target != EMPTY
         voxel = region.pair_voxel[casts]
         self._add_rows(region, look, voxel)
-        rows, fragment = look.rows[voxel], target[casts]
-        self._kernels.add_votes(rows, fragment, amount[casts])
-        self._changed.append((rows, fragment))
+        self._add_votes(look.rows[voxel], target[casts], amount[casts])
         abstained: Longs = np.bincount(region.pair_mask[~casts], minlength=region.masks + 1)
         return abstained
+
+    def _add_votes(self, rows: Ints, fragment: Ints, amount: Ints) -> None:
+        """Count votes; fragment 0 = background, NAMELESS = ids beyond the limit."""
+        bare = (fragment == 0) & self._parameters.evolution.veto
+        if bare.any():
+            self._bare = _enough(self._bare, self.voxels)
+            np.add.at(self._bare, rows[bare], amount[bare])
+            self._changed.append((rows[bare], fragment[bare]))
+            rows, fragment, amount = rows[~bare], fragment[~bare], amount[~bare]
+        fragment = np.where(fragment == NAMELESS, 0, fragment)
+        self._kernels.add_votes(rows, fragment, amount)
+        self._changed.append((rows, self._named(fragment)))
+
+    def _named(self, fragment: Ints) -> Ints:
+        """Fragments of the kernels as the map names them: with a limit of ids, 0 is what has no name."""
+        return np.where(fragment == 0, np.int32(NAMELESS), fragment) if self._slots else fragment
+
+    def _counts(self, rows: Ints, fragment: Ints) -> Ints:
+        bare = (fragment == 0) & self._parameters.evolution.veto
+        counts = self._kernels.counts_of(rows, np.where(fragment == NAMELESS, 0, fragment))
+        return np.where(bare, _enough(self._bare, self.voxels)[rows], counts) if bare.any() else counts
 
     def _add_rows(self, region: Region, look: Look, voxel: Ints) -> None:
         """Rows for voxels that get their first vote, numbered by key; look.rows learns them."""
         new = np.unique(voxel[look.rows[voxel] == EMPTY])
         new = new[np.argsort(region.keys[new])]
         look.rows[new] = np.arange(self.voxels, self.voxels + len(new), dtype=np.int32)
-        self._new_keys = region.keys[new]
-        self._kernels.add_rows(self._new_keys)
+        self._new_keys.append(region.keys[new])
+        self._kernels.add_rows(region.keys[new])
 
-    def settle(self, look: Look) -> tuple[VoxelChanges, Ints]:
-        """The end of a frame: full voxels halve. Returns what it changed, and the owner of every voxel of `look`."""
+    def settle(self, region: Region, look: Look) -> tuple[VoxelChanges, Ints]:
+        """The end of a frame: full voxels halve. Returns what it changed, and the owners of the region's voxels."""
         touched = distinct(np.concatenate([rows for rows, _ in self._changed]))
         if self._parameters.evolution.background and self._parameters.evolution.halving:
             self._changed.append(self._kernels.halve(touched, 2 * self._parameters.evolution.halving))
         row, what = (np.concatenate([part[i] for part in self._changed]).astype(np.int64) for i in (0, 1))
-        packed = distinct((row << 32) | what)
-        row32, what32 = (packed >> 32).astype(np.int32), (packed & 0xFFFFFFFF).astype(np.int32)
+        packed = distinct((row << 32) | (what - NAMELESS))
+        row32, what32 = (packed >> 32).astype(np.int32), ((packed & 0xFFFFFFFF) + NAMELESS).astype(np.int32)
         owner, share = self._kernels.owners(touched)
         first_new, self._told, self._changed = self._told, self.voxels, []
-        index = projection.voxel_index(self._new_keys)
-        changes = VoxelChanges(
-            first_new, index, row32, what32, self._kernels.counts_of(row32, what32), touched, owner, share
-        )
-        return changes, self._kernels.owners(look.rows)[0]
+        index, self._new_keys = projection.voxel_index(np.concatenate(self._new_keys)), []
+        changes = VoxelChanges(first_new, index, row32, what32, self._counts(row32, what32), touched, owner, share)
+        rows = self._kernels.look_up(region.keys, 1)[0] if self._parameters.association.one_by_one else look.rows
+        return changes, self._kernels.owners(rows)[0]
 
     # ---- the whole map ----------------------------------------------------------------------------------------------
 
     def votes(self) -> tuple[Longs, Ints, Ints, Ints]:
         """Keys of all voxels by number, and all votes: voxel number, fragment (0 = background), count; unordered."""
-        return self._kernels.votes()
+        keys, row, fragment, count = self._kernels.votes()
+        bare = np.flatnonzero(self._bare[: len(keys)]).astype(np.int32)
+        fragment = np.concatenate([self._named(fragment), np.zeros_like(bare)])
+        return keys, np.concatenate([row, bare]), fragment, np.concatenate([count, self._bare[bare]])
 
     def whole(self) -> VoxelChanges:
         """All voxels and votes, as one step would tell them that made them all."""
@@ -294,8 +321,8 @@ class Engine:
     def restore(self, keys: Longs, row: Ints, fragment: Ints, count: Ints) -> None:
         """Fill an empty engine with voxels by number and their votes, as `votes` gives them."""
         self._kernels.add_rows(keys.astype(np.int64))
-        self._kernels.add_votes(row, fragment, count)
-        self._told = self.voxels
+        self._add_votes(row, fragment, count)
+        self._told, self._changed = self.voxels, []
 
 
 def common_pixels(a: Mask, b: Mask) -> int:
@@ -303,11 +330,11 @@ def common_pixels(a: Mask, b: Mask) -> int:
     return int(paint.common_pixels(read_only(a.bits), a.box, read_only(b.bits), b.box))
 
 
-def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written: for arrays of either kind, a kernel is compiled once."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
+def _enough(array: Ints, size: int) -> Ints:
+    """The array with room for `size`, half as much again at least when it grows; new places are 0."""
+    if size <= len(array):
+        return array
+    return np.concatenate([array, np.zeros(max(size - len(array), len(array) // 2), np.int32)])
 
 
 def distinct(array: NDArray[Number]) -> NDArray[Number]:

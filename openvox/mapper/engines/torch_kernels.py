@@ -34,8 +34,9 @@ LOW = 0xFFFFFFFF
 class TorchKernels:
     """A hash table of rows over keys, and a linked list of votes a row, as tensors on the first GPU if there is one."""
 
-    def __init__(self) -> None:
+    def __init__(self, slots: int) -> None:
         self.voxels = 0
+        self._limit = slots
         self._device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.set_num_threads(1)  # the steps are short: threads would wait for each other longer than they work
         self._keys = self._full(FIRST, 0)
@@ -92,6 +93,7 @@ class TorchKernels:
         """See `Kernels`."""
         rows = self._find(self._from(keys))
         best, votes, background, _ = self._strongest(rows)
+        background = background if self._limit == 0 else torch.zeros_like(background)
         owner = torch.where(votes > background, best, 0)
         return _ints(rows), _ints(owner), _ints(torch.where(hidden_evidence * votes > background, best, 0))
 
@@ -161,6 +163,9 @@ class TorchKernels:
     def add_votes(self, rows: Ints, fragments: Ints, amounts: Ints) -> None:
         """See `Kernels`."""
         row, fragment, amount = self._from(rows), self._from(fragments), self._from(amounts)
+        if self._limit:
+            fragment = self._within_limit(row, fragment)
+            fragments[:] = _ints(fragment)
         bare = fragment == 0
         self._backgrounds.index_add_(0, row[bare], amount[bare])
         packed, which = torch.unique((row[~bare] << 32) | fragment[~bare], return_inverse=True)
@@ -175,6 +180,13 @@ class TorchKernels:
         self._fragment[place[new]], self._count[place[new]] = fragment[new], 0
         self._chain(row[new], place[new], self._heads[row[new]])
         self._count[place] = equations.count_votes(self._count[place], summed)
+
+    def _within_limit(self, row: Tensor, fragment: Tensor) -> Tensor:
+        """The fragments of votes in distinct rows, 0 where a full list does not hold them."""
+        pair, slot = self._entries(row)
+        length = self._full(len(row), 0).index_add_(0, pair, torch.ones_like(pair))
+        known = self._full(len(row), 0).index_add_(0, pair, (self._fragment[slot] == fragment[pair]).to(torch.int64))
+        return torch.where((known == 0) & (length >= self._limit), 0, fragment)
 
     def move_votes(self, rows: Ints, source: int, target: int) -> None:
         """See `Kernels`."""
@@ -208,7 +220,7 @@ class TorchKernels:
     def owners(self, rows: Ints) -> tuple[Ints, Ints]:
         """See `Kernels`."""
         best, votes, background, total = self._strongest(self._from(rows))
-        won = votes > background
+        won = votes > (background if self._limit == 0 else 0)
         share = equations.instance_vector(torch.where(won, votes, background), total.clamp(min=1))
         return _ints(torch.where(won, best, 0)), _ints(share)
 

@@ -40,11 +40,11 @@ def total_votes(background, head, count, following):
 
 
 @kernel
-def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, following, hidden_evidence):
+def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, following, hidden_evidence, limit):
     """What the map holds where the frame looks.
 
     Returns, for each key: row (EMPTY if new), owner (strongest fragment if it beats background, else 0), and label
-    (the same with hidden_evidence x votes against background)."""
+    (the same with hidden_evidence x votes against background). limit > 0: the background count is no rival."""
     n = keys_seen.size
     rows = np.empty(n, np.int32)
     owner = np.zeros(n, np.int32)
@@ -55,9 +55,10 @@ def look_up(keys_seen, table, keys, heads, backgrounds, fragment, count, followi
         if row == EMPTY:
             continue
         best, votes = strongest(heads[row], fragment, count, following)
-        if votes > backgrounds[row]:
+        against = backgrounds[row] if limit == 0 else 0
+        if votes > against:
             owner[i] = best
-        if hidden_evidence * votes > backgrounds[row]:
+        if hidden_evidence * votes > against:
             label[i] = best
     return rows, owner, label
 
@@ -146,16 +147,24 @@ def choose_targets(
 
 
 @kernel
-def add_votes(rows, targets, amounts, heads, backgrounds, fragment, count, following, state):
-    """Count a list of votes. state: [slots used, first free slot]; there is room for one new slot a vote."""
+def add_votes(rows, targets, amounts, heads, backgrounds, fragment, count, following, state, limit):
+    """Count a list of votes. state: [slots used, first free slot]; there is room for one new slot a vote.
+
+    limit > 0: a list holds so many fragments at most; votes for others join the background count, and their target
+    becomes 0."""
     for p in range(rows.size):
         row, target = rows[p], targets[p]
         if target == 0:
             backgrounds[row] = count_votes(backgrounds[row], amounts[p])
             continue
-        slot = heads[row]
+        slot, length = heads[row], 0
         while slot != EMPTY and fragment[slot] != target:
             slot = following[slot]
+            length += 1
+        if slot == EMPTY and 0 < limit <= length:
+            backgrounds[row] = count_votes(backgrounds[row], amounts[p])
+            targets[p] = 0
+            continue
         if slot == EMPTY:
             slot = state[1]
             if slot == EMPTY:
@@ -227,7 +236,7 @@ def counts_of(rows, fragments, heads, backgrounds, fragment, count, following):
 
 
 @kernel
-def owners(rows, heads, backgrounds, fragment, count, following):
+def owners(rows, heads, backgrounds, fragment, count, following, limit):
     """Owner of each row and its share of all votes in Q20 (background's where there is no owner); 0 for EMPTY rows."""
     owner = np.zeros(rows.size, np.int32)
     share = np.zeros(rows.size, np.int32)
@@ -236,7 +245,7 @@ def owners(rows, heads, backgrounds, fragment, count, following):
         if row == EMPTY:
             continue
         best, votes = strongest(heads[row], fragment, count, following)
-        if votes > backgrounds[row]:
+        if votes > (backgrounds[row] if limit == 0 else 0):
             owner[i] = best
         else:
             votes = backgrounds[row]
