@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from openvox.apps.loop import Observer, run
+from openvox.apps.memory import MemoryLimit
 from openvox.apps.resume import beginning, chain_state
 from openvox.core.digest import frame_digest, map_digest
 from openvox.core.errors import InputError
@@ -47,6 +48,7 @@ def replay(
     engine: str = "cpu",
     out: str | None = None,
     resume: Path | None = None,
+    max_memory: int | None = None,
     rerun: Path | None = None,
     start: int | None = None,
     end: int | None = None,
@@ -84,7 +86,7 @@ def replay(
         trace = stack.enter_context(
             TraceWriter(trace_path, {**about, "sources": sources, **earlier.said}, earlier.chain)
         )
-        observers: list[Observer] = [trace, counter]
+        observers: list[Observer] = [trace, counter, *([MemoryLimit(max_memory)] if max_memory else [])]
         if rerun is not None:
             from openvox.view.rerun_observer import RerunObserver
 

@@ -51,6 +51,21 @@ class Mapper:
         self._dimensions: int | None = None
         self._untold = False  # voxels of an earlier run, which no step has told yet
 
+    @property
+    def voxels(self) -> int:
+        """Voxels of the map."""
+        return self._engine.voxels
+
+    @property
+    def fragments(self) -> int:
+        """Fragments that were ever founded or cut off."""
+        return len(self._fragments)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the voxels and their votes."""
+        return self._engine.bytes
+
     def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
         """Associate the frame's masks with the map before it, then let the map evolve.
 

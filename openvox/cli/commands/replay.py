@@ -36,6 +36,9 @@ def replay(
         Path | None,
         typer.Option(metavar="MAP", help="Go on where this map stopped: the rest of its recording, or a second visit."),
     ] = None,
+    max_memory: Annotated[
+        int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
+    ] = None,
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
     start: options.Start = None,
     end: options.End = None,
@@ -57,6 +60,7 @@ def replay(
         engine=engine,
         out=out,
         resume=resume,
+        max_memory=max_memory,
         rerun=rerun,
         start=start,
         end=end,
