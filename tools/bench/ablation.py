@@ -1,0 +1,99 @@
+"""What each rule of preset openvox does: the mean over rooms and seeds, one rule changed a row, as a table in Markdown.
+
+python tools/bench/ablation.py ../shared/data/dev_living ../shared/data/dev_bedroom --seeds 0,1,2 --levels noisy,hard
+
+Detections are simulated by the data's own simulate_detections.py (beside the scenes); `--masks FRONTEND` takes those of a
+front end that ships instead, which no simulator made. Any number of `--set K=V,K=V` replaces the built-in rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from openvox.apps.evaluate import evaluate
+from openvox.apps.ingest import ingest
+from openvox.apps.perceive import perceive
+from openvox.apps.replay import replay
+
+RULES = (
+    "",
+    "association.containment=false",
+    "association.hidden_evidence=1",
+    "evolution.background=false",
+    "evolution.voxel_votes=false",
+    "evolution.abstention=false",
+    "evolution.cut=false",
+    "evolution.cut_inheritance=2",
+    "lifecycle.evidence=false",
+    "lifecycle.omission=0",
+    "lifecycle.captions=false",
+    "lifecycle.kinds=false",
+    "finish.smoothing=0",
+    "finish.existence=false",
+    "masks.erosion=0,masks.step_margin=0",
+)
+MEASURES = ("ap", "ap50", "ap25", "f50", "spill", "missed_share", "predicted", "merged")
+
+
+def perceived(scene: Path, level: str, seed: int, folder: Path) -> Path:
+    """The perception file of simulated detections; of a front end if the level is one."""
+    out = folder / f"{scene.name}-{level}-{seed}.perception.mcap"
+    if level in ("clean", "noisy", "hard"):
+        detections = out.with_suffix(".jsonl")
+        command = [
+            sys.executable,
+            scene.parent / "simulate_detections.py",
+            scene,
+            "--level",
+            level,
+            "--seed",
+            str(seed),
+        ]
+        with detections.open("w") as file:
+            subprocess.run(command, check=True, stdout=file, stderr=subprocess.DEVNULL)
+        perceive(folder / f"{scene.name}.mcap", detections=detections, out=out)
+    else:
+        perceive(folder / f"{scene.name}.mcap", frontend=level, out=out)
+    return out
+
+
+def scored(scene: Path, perception: Path, rule: str, preset: str, folder: Path) -> dict[str, Any]:
+    stem = str(folder / "run")
+    assignments = [text for text in rule.split(",") if text]
+    replay(folder / f"{scene.name}.mcap", perception=perception, preset_name=preset, assignments=assignments, out=stem)
+    found: dict[str, Any] = evaluate(Path(f"{stem}.map.npz"), truth=scene)["instances"]
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path, nargs="+")
+    parser.add_argument("--seeds", default="0,1,2")
+    parser.add_argument("--levels", default="noisy,hard")
+    parser.add_argument("--masks", help="a front end, as geometry or offline, in place of simulated levels")
+    parser.add_argument("--preset", default="openvox")
+    parser.add_argument("--set", dest="rules", action="append")
+    chosen = parser.parse_args()
+    levels = [chosen.masks] if chosen.masks else chosen.levels.split(",")
+    seeds = [0] if chosen.masks else [int(text) for text in chosen.seeds.split(",")]
+    print(f"| masks | parameters | {' | '.join(MEASURES)} |\n" + "|---" * (len(MEASURES) + 2) + "|")
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for scene in chosen.scenes:
+            ingest(scene, folder / f"{scene.name}.mcap")
+        for level in levels:
+            files = [(scene, perceived(scene, level, seed, folder)) for scene in chosen.scenes for seed in seeds]
+            for rule in chosen.rules or RULES:
+                runs = [scored(scene, file, rule, chosen.preset, folder) for scene, file in files]
+                means = (sum(run[measure] for run in runs) / len(runs) for measure in MEASURES)
+                cells = " | ".join(f"{mean:.3f}" for mean in means)
+                print(f"| {level} | `{rule or 'all rules'}` | {cells} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
