@@ -2,7 +2,7 @@
 
 python tools/bench/ablation.py ../shared/data/dev_living ../shared/data/dev_bedroom --seeds 0,1,2 --levels noisy,hard
 
-Detections are simulated by the data's own simulate_detections.py (beside the scenes); `--masks FRONTEND` takes those of a
+Detections are simulated by the scenes' own simulate_detections.py; `--masks FRONTEND` takes those of a
 front end that ships instead, which no simulator made. Any number of `--set K=V,K=V` replaces the built-in rows.
 """
 
