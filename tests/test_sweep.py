@@ -108,6 +108,7 @@ def test_the_files_say_the_same(recording: Path, tmp_path: Path) -> None:
     found = sweep([recording], assignments=SETS, out=tmp_path / "out", jobs=1)
     written = json.loads((tmp_path / "out" / "sweep.json").read_text())
     assert written == {name: value for name, value in found.items() if name != "outputs"}
+    assert "map.voxel_size" in (tmp_path / "out" / "index.html").read_text()
     rows = list(csv.DictReader(io.StringIO((tmp_path / "out" / "table.csv").read_text())))
     assert [row["map.voxel_size"] for row in rows] == ["0.05", "0.2", "0.04"]
     assert [row["map_digest"] for row in rows] == [item["digests"]["map"] for item in found["items"]]

@@ -12,6 +12,7 @@ from typing import Any
 
 from openvox.apps.compare import first_outcome
 from openvox.apps.replay import warm_up
+from openvox.apps.report import report
 from openvox.apps.sweeping.item import MAPPED, run_item
 from openvox.apps.sweeping.plan import Item, ParameterSet, Run, Source, items, parameter_sets, sources
 from openvox.apps.sweeping.pool import Outcome, in_processes
@@ -24,7 +25,7 @@ from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 
 FORMAT_VERSION = 1
-RESULT, TABLE, PLAN, ITEMS = "sweep.json", "table.csv", "plan.json", "items"
+RESULT, TABLE, PAGE, PLAN, ITEMS = "sweep.json", "table.csv", "index.html", "plan.json", "items"
 
 
 def sweep(
@@ -85,7 +86,9 @@ def sweep(
     }
     _write(out / TABLE, table(rows, list(varied)))
     _write(out / RESULT, json.dumps(result, indent=1, allow_nan=False) + "\n")
-    return {**result, "outputs": {"folder": str(out), "result": str(out / RESULT), "table": str(out / TABLE)}}
+    report(out, None, out / PAGE)
+    outputs = {"folder": out, "result": out / RESULT, "table": out / TABLE, "page": out / PAGE}
+    return {**result, "outputs": {name: str(path) for name, path in outputs.items()}}
 
 
 def _about(run: Run) -> dict[str, Any]:
