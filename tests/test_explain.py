@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -279,6 +280,21 @@ def test_each_answer_reads_as_text_and_as_json(
     assert says in capsys.readouterr().out
     assert cli(trace, *words, "--json") == 0
     assert isinstance(json.loads(capsys.readouterr().out), dict)
+
+
+def explain_lines_of_the_tutorial() -> list[str]:
+    text = (Path(__file__).resolve().parents[1] / "docs" / "debugging.md").read_text("utf-8")
+    return sorted(set(re.findall(r"`openvox explain hard\.trace\.mcap ([^`]+)`", text)))
+
+
+@pytest.mark.parametrize("line", explain_lines_of_the_tutorial())
+def test_the_tutorial_types_what_explain_takes(line: str, trace: Path) -> None:
+    assert cli(trace, *line.split()) in (0, 1)  # 1: the tiny world has no such frame, instance or place
+
+
+def test_the_tutorial_asks_each_question() -> None:
+    asked = {line.split()[0] for line in explain_lines_of_the_tutorial()}
+    assert asked == {"--suspicious", "--frame", "--instance", "--at"}
 
 
 def test_a_list_without_suspects_ends_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
