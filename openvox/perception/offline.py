@@ -66,8 +66,9 @@ class Offline:
         masks = [Mask.from_bitmap(thing.bitmap) for thing in things]
         words = [("", SCORE)] * len(masks) if rgb is None else self._words(rgb, things, masks)
         colors = [""] * len(masks) if rgb is None else colors_of(rgb, masks)
+        sure = self._offline.support_pixels * working_step(frame.rig.color) ** 2
         return tuple(
-            _captioned(mask, thing, parts, word, color)
+            _captioned(mask, _kind(thing, mask, parts, sure), thing, parts, word, color)
             for mask, thing, word, color in zip(masks, things, words, colors, strict=True)
         )
 
@@ -78,7 +79,8 @@ class Offline:
         return [
             Thing(parts.labels == label, None, (label,))
             for label in range(1, len(area))
-            if area[label] >= self._geometry.min_pixels * scale and label not in taken
+            if area[label] >= (self._geometry if label <= parts.pieces else self._offline).min_pixels * scale
+            and label not in taken
         ]
 
     def _words(self, rgb: NDArray[np.uint8], things: Sequence[Thing], masks: Sequence[Mask]) -> list[Word]:
@@ -101,11 +103,17 @@ def _word_of_box(box: Box | None, mask: Mask) -> Word:
     return box.label, box.score
 
 
-def _captioned(mask: Mask, thing: Thing, parts: Parts, word: Word, color: str) -> Mask:
+def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
+    """sure: pixels from which on what was split off is believed to be a thing of its own."""
+    if thing.box:
+        return "object"
+    return "support" if thing.regions[0] > parts.pieces and mask.area >= sure else "region"
+
+
+def _captioned(mask: Mask, kind: MaskKind, thing: Thing, parts: Parts, word: Word, color: str) -> Mask:
     """The mask with its kind, scores and words."""
     noun, score = word
     form = parts.form.get(thing.regions[0], NO_FORM) if thing.regions else NO_FORM
-    kind: MaskKind = "object" if thing.box else "region" if thing.regions[0] <= parts.pieces else "support"
     return dataclasses.replace(
         mask,
         score=SCORE,

@@ -47,7 +47,8 @@ class GeometryParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineParameters:
-    """Boxes, parts and words of the front end that comes with openvox; its regions are those of `geometry`."""
+    """Boxes, parts and words of the front end that comes with openvox; its regions are those of `geometry`, and its
+    pixels too."""
 
     box_score: float = parameter(0.3, "score", 0.0, 1.0, why="less sure boxes are more often wrong than right")
     claim_inside: float = parameter(0.75, "share", 0.0, 1.0, why="of a region that must lie in a box that takes it")
@@ -55,10 +56,16 @@ class OfflineParameters:
         0.15, "share", 0.0, 1.0, why="of a box that its regions fill, else it is cut out by colour"
     )
     cut_fill: float = parameter(0.25, "share", 0.0, 1.0, why="of a box that is cut out by colour, else it is dropped")
-    support_height: float = parameter(0.03, "m", 0.0, 1.0, why="so far above a top a thing stands on it")
-    support_pixels: int = parameter(60, "working px", 1, 100_000, why="smaller things on a top are mostly noise")
-    patch_ground: int = parameter(2500, "working px", 1, 1_000_000, why="smaller surfaces hold no patches")
-    patch_pixels: int = parameter(60, "working px", 1, 100_000, why="smaller patches are mostly noise")
+    support_height: float = parameter(0.03, "m", 0.0, 1.0, why="what rises so far above a top stands on it")
+    support_rim: float = parameter(0.012, "m", 0.0, 1.0, why="from so far above the top on it is part of what rises")
+    support_within: float = parameter(
+        0.8, "share", 0.0, 1.0, why="of what stands on a top that lies within its outline; arms of a seat do not"
+    )
+    support_pixels: int = parameter(
+        400, "px", 1, 100_000, why="smaller things on a support are too far to contradict others: they count as regions"
+    )
+    min_pixels: int = parameter(50, "px", 1, 100_000, why="smaller things on a top, or patches, are mostly noise")
+    patch_ground: int = parameter(2500, "px", 1, 1_000_000, why="smaller surfaces hold no patches")
     word_sure: float = parameter(0.5, "score", 0.0, 1.0, why="from here on a detector's word is taken")
     word_likely: float = parameter(0.4, "score", 0.0, 1.0, why="or from here on, if the classifier has none")
     word_classified: float = parameter(0.35, "probability", 0.0, 1.0, why="below it the classifier guesses")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from openvox.core.types import Frame
 from openvox.perception.geometry import smooth
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
-from openvox.perception.patches import flat_patches
+from openvox.perception.patches import tops, with_patches
 from openvox.perception.planes import Room
 from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_pixels_of, depth_at_color_pixels
 from openvox.perception.segments import Labels, planes_at, segments
@@ -21,7 +22,7 @@ from openvox.perception.wording import Form, forms
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Regions of a frame, numbered from 1: pieces up to `pieces`, the rest split off what they stand, lie or hang on.
+    """Regions of a frame, numbered from 1: pieces up to `pieces`, the rest split off what they stand or hang on.
 
     labels, background (the room's planes), z (metres, 0 = unknown): (height, width) in colour pixels. depths: of each
     region, the median of z. form: of each region that depth knows, the words for it."""
@@ -41,11 +42,14 @@ def parted(
     pose = frame.world_from_depth
     seen = surface(frame.depth, frame.rig.depth, geometry.near, geometry.far)
     planes = planes_at(seen, room, pose)
+    lab = None if rgb is None else _lab(frame, seen, rgb)
     labels = segments(seen, planes > 0, geometry)
+    if lab is not None:
+        labels = with_patches(labels, tops(labels, seen, room.up_in(pose)), lab, offline)
     pieces = int(labels.max())
     labels = split_supports(labels, seen, room, pose, geometry, offline)
-    if rgb is not None:
-        labels = flat_patches(labels, _walls(planes, room), seen, room.up_in(pose), _lab(frame, seen, rgb), offline)
+    if lab is not None:
+        labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1
     marked = np.where((labels == 0) & (planes > 0), ground, labels).astype(np.int32)
     marked = at_depth_pixels(marked, seen, depth_in_metres(frame.depth, geometry.near, geometry.far))
@@ -61,14 +65,11 @@ def parted(
     )
 
 
-def _walls(planes: NDArray[np.int8], room: Room) -> NDArray[np.int8]:
-    """The numbers of upright planes where they are, 0 elsewhere: floors have patterns, walls have pictures."""
-    upright = [
-        i
-        for i, plane in enumerate(room.planes, 1)
-        if abs(sum(a * b for a, b in zip(plane.normal, room.up, strict=True))) < 0.3
-    ]
-    return np.where(np.isin(planes, upright), planes, 0).astype(np.int8)
+def _walls(planes: NDArray[np.int8], room: Room) -> Iterator[Flags]:
+    """Where each upright plane is: floors have patterns, walls have pictures."""
+    for i, plane in enumerate(room.planes, 1):
+        if abs(sum(a * b for a, b in zip(plane.normal, room.up, strict=True))) < 0.3:
+            yield planes == i
 
 
 def _lab(frame: Frame, seen: Surface, rgb: NDArray[np.uint8]) -> NDArray[np.float32]:

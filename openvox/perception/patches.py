@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,46 +23,25 @@ FILL = 0.62
 """Least share of its convex outline that a patch fills: things people lay down or hang up are compact."""
 
 
-def flat_patches(
-    labels: Labels,
-    walls: NDArray[np.int8],
-    surface: Surface,
-    up: NDArray[np.float32],
-    lab: NDArray[np.float32],
-    parameters: OfflineParameters,
+def with_patches(
+    labels: Labels, grounds: Iterable[Flags], lab: NDArray[np.float32], parameters: OfflineParameters
 ) -> Labels:
-    """The labels with patches on walls, on tops and on flat segments numbered on as pieces of their own.
-
-    walls: (h, w), the number of the wall that a pixel belongs to, 0 = none. up: (3,) in the depth camera's axes. lab:
-    (h, w, 3) CIE Lab of the pixels."""
+    """The labels with patches on these grounds numbered on as pieces of their own. lab: (h, w, 3) CIE Lab."""
     out = labels.copy()
     number = int(labels.max())
-    for ground in _grounds(labels, walls, surface, up, parameters.patch_ground):
-        patches = _patches(ground, lab, parameters.patch_pixels)
-        out = np.where(patches > 0, patches + number, out).astype(np.int32)
-        number += int(patches.max())
+    for ground in grounds:
+        if int(ground.sum()) >= parameters.patch_ground:
+            patches = _patches(ground, lab, parameters.min_pixels)
+            out = np.where(patches > 0, patches + number, out).astype(np.int32)
+            number += int(patches.max())
     return out
 
 
-def _grounds(
-    labels: Labels, walls: NDArray[np.int8], surface: Surface, up: NDArray[np.float32], least: int
-) -> Iterator[Flags]:
-    """Walls; of each segment what faces up, or all of it where it is flat. Each of at least so many pixels."""
-    for wall in np.flatnonzero(np.bincount(walls.reshape(-1))[1:] >= least).tolist():
-        yield walls == wall + 1
-    tops = dot(surface.normals, up) > 0.9
-    for label in np.flatnonzero(np.bincount(labels.reshape(-1))[1:] >= least).tolist():
-        segment = labels == label + 1
-        top = segment & tops
-        if int(top.sum()) >= least:
-            yield top
-        elif _is_flat(surface, segment):
-            yield segment
-
-
-def _is_flat(surface: Surface, ground: Flags) -> bool:
-    mean = surface.normals[:, ground].mean(1)
-    return bool((mean * mean).sum() > 0.93**2)
+def tops(labels: Labels, surface: Surface, up: NDArray[np.float32]) -> Iterator[Flags]:
+    """What faces up of each segment. up: (3,) in the depth camera's axes."""
+    facing = dot(surface.normals, up) > 0.9
+    for label in range(1, int(labels.max()) + 1):
+        yield facing & (labels == label)
 
 
 def _patches(ground: Flags, lab: NDArray[np.float32], min_pixels: int) -> Labels:

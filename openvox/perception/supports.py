@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from openvox.core.types import Pose
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.planes import Room, in_world, turned
-from openvox.perception.segments import Labels, components, tolerance
+from openvox.perception.segments import Labels, components, renumbered, tolerance
 from openvox.perception.surface import Flags, Surface
 
 HEIGHT_BIN = 0.01
+NOISE = 0.5
+"""Of the tolerance for steps in depth: many pixels decide together here, and a cup is low."""
 FOOTPRINT = 0.02
 """m, edge of a cell of the top's outline seen from above."""
 
@@ -31,43 +33,55 @@ def split_supports(
     number = count
     for label in range(1, count + 1):
         pixels = order[bounds[label - 1] : bounds[label]]
-        if len(pixels) < 2 * offline.support_pixels:
+        if len(pixels) < 2 * offline.min_pixels:
             continue
-        above = np.zeros(labels.size, np.uint8)
-        above[pixels[_above(pixels, surface, room, pose, geometry, offline)]] = 1
-        if not above.any() or 2 * int(above.sum()) > len(pixels):
+        height, within = _above_top(pixels, surface, room, pose, geometry, offline)
+        raised = np.zeros(labels.size, np.uint8)
+        raised[pixels[height > offline.support_rim]] = 1
+        parts = components(raised.reshape(labels.shape), 8, offline.min_pixels)
+        parts = renumbered(parts, _standing(parts.reshape(-1)[pixels], height, within, offline))
+        if not parts.any() or 2 * int((parts > 0).sum()) > len(pixels):
             continue
-        parts = components(above.reshape(labels.shape), 8, offline.support_pixels)
         out = np.where(parts > 0, parts + number, out).astype(np.int32)
         number += int(parts.max())
     return out
 
 
-def _above(
+def _standing(part: NDArray[np.int32], height: NDArray[np.float64], within: Flags, offline: OfflineParameters) -> Flags:
+    """Which parts rise clearly and lie nearly whole within the outline of the top: arms and backs of a seat do not."""
+    count = int(part.max(initial=0)) + 1
+    size = np.bincount(part, minlength=count)
+    rises = np.bincount(part[height > offline.support_height], minlength=count) > 0
+    standing: Flags = rises & (np.bincount(part[within], minlength=count) >= offline.support_within * size)
+    standing[0] = False
+    return standing
+
+
+def _above_top(
     pixels: NDArray[np.int64],
     surface: Surface,
     room: Room,
     pose: Pose,
     geometry: GeometryParameters,
     offline: OfflineParameters,
-) -> Flags:
-    """Which of a segment's pixels are above its top."""
+) -> tuple[NDArray[np.float64], Flags]:
+    """How far a segment's pixels are above its top, beyond the noise, metres; and which lie within its outline."""
     points = in_world(surface.points.reshape(3, -1)[:, pixels], pose)
     normals = turned(surface.normals.reshape(3, -1)[:, pixels], pose)
     z = surface.points[2].reshape(-1)[pixels]
     up = np.array(room.up)
     height, facing = _along(points, up), _along(normals, up) > 0.9
-    nothing = np.zeros(len(pixels), np.bool_)
-    if int(facing.sum()) < offline.support_pixels:
+    nothing = np.full(len(pixels), -1.0), np.zeros(len(pixels), np.bool_)
+    if int(facing.sum()) < offline.min_pixels:
         return nothing
     low = float(height[facing].min())
     area = np.bincount(((height[facing] - low) / HEIGHT_BIN).astype(np.int64), z[facing].astype(np.float64) ** 2)
     top = low + (int(np.convolve(area, np.ones(3), "same").argmax()) + 0.5) * HEIGHT_BIN
-    at_top = facing & (np.abs(height - top) < 2 * HEIGHT_BIN + tolerance(z, geometry))
-    if int(at_top.sum()) < offline.support_pixels:
+    noise = tolerance(z, geometry)
+    at_top = facing & (np.abs(height - top) < 2 * HEIGHT_BIN + noise)
+    if int(at_top.sum()) < offline.min_pixels:
         return nothing
-    over = height > top + offline.support_height + tolerance(z, geometry)
-    return over & _within(points, at_top, up)
+    return height - top - NOISE * noise, _within(points, at_top, up)
 
 
 def _within(points: NDArray[np.float64], outline: Flags, up: NDArray[np.float64]) -> Flags:
