@@ -1,4 +1,5 @@
-"""The front end of someone who knows: the recording's ground truth as masks, each whole and rightly named."""
+"""The front end of someone who knows: the recording's ground truth as masks, each whole and rightly named,
+unless faults are asked for."""
 
 from __future__ import annotations
 
@@ -11,10 +12,11 @@ from openvox.core.digest import START, chain, digest_of
 from openvox.core.parameters import Value
 from openvox.core.types import Frame, Mask
 from openvox.formats.detections import Box
+from openvox.perception.faults import Faults
 from openvox.perception.parameters import OracleParameters
 from openvox.perception.stage import stage_digest
 
-VERSION = 1
+VERSION = 2
 
 
 class _Oracle:
@@ -24,7 +26,7 @@ class _Oracle:
     model_digest = ""
 
     def __init__(self, parameters: OracleParameters, categories: Mapping[int, str]) -> None:
-        self._min_pixels = parameters.min_pixels
+        self._of_truth = parameters
         self._categories = categories
         self.parameters: Mapping[str, Value] = {
             f"oracle.{name}": value for name, value in dataclasses.asdict(parameters).items()
@@ -33,18 +35,19 @@ class _Oracle:
         self._digest = stage_digest(self.name, VERSION, self.parameters, names)
 
     def digest(self, frame: Frame) -> str:
-        """With the truth of the frame, which its own digest leaves out."""
+        """With the truth of the frame, which its own digest leaves out, and its number, by which faults come and go."""
         images = (frame.truth_instances, frame.truth_categories)
         parts = (b"" if image is None else np.ascontiguousarray(image, "<u2").tobytes() for image in images)
-        return chain(START, self._digest.encode(), *parts)
+        return chain(START, self._digest.encode(), *parts, str(frame.index).encode())
 
     def _masks(self, frame: Frame) -> tuple[Mask, ...]:
-        """One mask for each instance of enough pixels, by id ascending."""
+        """One mask for each instance of enough pixels, by id ascending, with the faults that the parameters ask for."""
         if frame.truth_instances is None:
             return ()
         pixels = np.bincount(frame.truth_instances.reshape(-1))
-        visible = [int(number) for number in np.flatnonzero(pixels >= self._min_pixels) if number]
-        return tuple(self._mask(frame, frame.truth_instances == number) for number in visible)
+        visible = [int(number) for number in np.flatnonzero(pixels >= self._of_truth.min_pixels) if number]
+        things = {number: frame.truth_instances == number for number in visible}
+        return tuple(self._mask(frame, bitmap) for bitmap in Faults(self._of_truth, frame.index).masks(things))
 
     def _mask(self, frame: Frame, bitmap: np.ndarray[tuple[int, int], np.dtype[np.bool_]]) -> Mask:
         label = ""

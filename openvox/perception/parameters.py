@@ -76,6 +76,14 @@ class OracleParameters:
     """Masks from the recording's ground truth."""
 
     min_pixels: int = parameter(60, "px", 1, 1_000_000, why="less of an object is too little to be seen")
+    miss: float = parameter(0.0, "share", 0.0, 1.0, why="of the objects in view are not seen in an episode")
+    split: float = parameter(0.0, "share", 0.0, 1.0, why="of them are seen as two in an episode")
+    merge: float = parameter(0.0, "share", 0.0, 1.0, why="of touching pairs are seen as one in an episode")
+    boundary: float = parameter(
+        0.0, "px", 0.0, 50.0, why="masks are up to so much too large or too small in an episode"
+    )
+    episode: int = parameter(6, "frames", 1, 100_000, why="a fault lasts so long, as those of real detectors do")
+    seed: int = parameter(0, "number", 0, 1_000_000_000, why="another one gives other faults")
 
 
 @dataclass(frozen=True, kw_only=True)
