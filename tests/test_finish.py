@@ -10,7 +10,7 @@ import pytest
 
 from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
 from openvox.core.types import InstanceMap
-from openvox.mapper import projection
+from openvox.core.voxels import voxel_key
 from openvox.mapper.codebook import Fragment
 from openvox.mapper.finish import finished_map, unit
 from openvox.mapper.life import Life
@@ -34,7 +34,7 @@ def finished(
     fragments: Mapping[int, Fragment] | None = None,
 ) -> InstanceMap:
     """The finished map of these votes; voxels are handed over in the order given."""
-    keys = projection.voxel_key(np.array(list(votes), np.int64).reshape(-1, 3))
+    keys = voxel_key(np.array(list(votes), np.int64).reshape(-1, 3))
     rows = [(i, f, n) for i, counts in enumerate(votes.values()) for f, n in counts.items()]
     row, what, count = np.array(rows, np.int32).reshape(-1, 3).T
     known = fragments or {f: fragment(f) for f in instance_of}

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from openvox.core.errors import InputError
 from openvox.core.types import Intrinsics, Pose, Rig
+from openvox.core.voxels import voxel_index, voxel_key
 from openvox.mapper import projection
 from openvox.mapper.engines.pixels import color_pixel, count_pixels
 
@@ -29,7 +30,7 @@ def voxels(
         registered, look_up.rotation, look_up.translation, camera, 1 << 10,
     )  # fmt: skip
     assert enough
-    index = projection.voxel_index(keys)
+    index = voxel_index(keys)
     return [(index[v].tolist(), int(n)) for v, n in zip(voxel, label, strict=True)]
 
 
@@ -94,9 +95,9 @@ def test_colour_pixels_are_rounded_to_the_nearest() -> None:
 
 @given(st.lists(st.tuples(*[st.integers(-(1 << 20), (1 << 20) - 1)] * 3), min_size=1, max_size=20))
 def test_keys_hold_indices_and_keep_their_order(indices: list[tuple[int, int, int]]) -> None:
-    keys = projection.voxel_key(np.array(indices, np.int64))
-    assert projection.voxel_index(keys).tolist() == [list(index) for index in indices]
-    assert projection.voxel_index(np.sort(keys)).tolist() == [list(index) for index in sorted(indices)]
+    keys = voxel_key(np.array(indices, np.int64))
+    assert voxel_index(keys).tolist() == [list(index) for index in indices]
+    assert voxel_index(np.sort(keys)).tolist() == [list(index) for index in sorted(indices)]
 
 
 def test_a_camera_out_of_range_asks_for_an_origin() -> None:

@@ -56,7 +56,7 @@ def rows(path: Path) -> dict[tuple[str, Any, str], list[str]]:
     """Every value of an .rrd by entity, frame and component; its name and layout apart."""
     out: dict[tuple[str, Any, str], list[str]] = {}
     for chunk in RrdReader(path).stream():
-        if chunk.entity_path.startswith("/__"):
+        if chunk.entity_path.startswith("/__") or chunk.entity_path == "/stats/milliseconds":  # a replay's own
             continue
         batch = chunk.to_record_batch()
         names = [name for name in batch.schema.names if "RowId" not in name and name != "sensor_time"]
@@ -85,7 +85,7 @@ class Kept:
 def test_a_trace_shows_all_that_replay_showed_without_mapping(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Mapper, "step", None)
     shown, expected = rows(as_rrd(folder / "tiny.trace.mcap", folder / "again.rrd")), rows(folder / "tiny.rrd")
-    assert {entity for entity, _, _ in shown} >= {"/decisions/data", "/world/voxel_states", "/camera/detected/color"}
+    assert {entity for entity, _, _ in shown} >= {"/decisions/data", "/decisions/graph", "/camera/detected/color"}
     assert shown == expected
 
 
@@ -112,7 +112,7 @@ def test_a_trace_alone_is_shown_without_pictures_and_says_so(folder: Path) -> No
     entities = {entity for entity, frame, _ in shown if frame is not None}
     assert not any(entity.startswith("/camera") or entity == "/world/trajectory" for entity in entities)
     for key in expected:
-        if key[0] == "/world/voxel_states" or key[0].startswith("/world/instances") or key[0] == "/events":
+        if key[0] == "/decisions/graph" or key[0].startswith("/world/instances") or key[0] == "/events":
             assert shown[key] == expected[key]
 
 

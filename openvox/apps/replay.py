@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,7 +35,8 @@ from openvox.mapper.mapper import Mapper
 
 COMPILES_AFTER = 1.5
 """Seconds after which a word is said: the kernels are being compiled, not loaded."""
-STAGES = ("decode", "masks", "project", "associate", "evolve", "trace")
+MAPPING = ("masks", "project", "associate", "evolve")
+STAGES = ("decode", *MAPPING, "trace")
 
 
 def replay(
@@ -50,6 +51,8 @@ def replay(
     resume: Path | None = None,
     max_memory: int | None = None,
     rerun: Path | None = None,
+    images: Literal["none", "jpeg", "all"] = "jpeg",
+    every: int = 1,
     start: int | None = None,
     end: int | None = None,
     stride: int = 1,
@@ -59,8 +62,9 @@ def replay(
 ) -> dict[str, Any]:
     """Map a recording and write STEM.map.npz and STEM.trace.mcap; the contract's fields of `replay --json`.
 
-    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. read: instead of
-    joined_frames. notice: told what takes long. Raises InputError, OutputError."""
+    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. images, every: of the
+    file for Rerun, see RerunObserver. read: instead of joined_frames. notice: told what takes long. Raises InputError,
+    OutputError."""
     parameters = chosen_parameters(preset_name, params, assignments)
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
@@ -90,7 +94,16 @@ def replay(
         if rerun is not None:
             from openvox.view.rerun_observer import RerunObserver
 
-            observers.append(stack.enter_context(RerunObserver(rerun, voxel_size=parameters.map.voxel_size)))
+            shown = RerunObserver(
+                rerun,
+                voxel_size=parameters.map.voxel_size,
+                images=images,
+                every=every,
+                earlier=earlier.map,
+                stages=watch.last,
+            )
+            watch.times["rerun"] = shown.milliseconds
+            observers.append(stack.enter_context(shown))
         frames = closing(read_ahead(_timed((read or joined_frames)(recording, found, start, end, stride), watch), 4))
         run(stack.enter_context(frames), mapper, observers)
         if not counter.frames:
@@ -119,7 +132,7 @@ def replay(
         "looked": counter.looked,
         "seconds": seconds,
         "frames_per_second": counter.frames / seconds,
-        "ms": {stage: _summary(watch.times.get(stage, [])) for stage in STAGES},
+        "ms": {stage: _summary(watch.times.get(stage, [])) for stage in (*STAGES, *(["rerun"] if rerun else []))},
         "voxels": len(result.voxel_index),
         "instances": len(result.instance_id),
         "decisions": dict(sorted(counter.rules.items())),
@@ -178,6 +191,10 @@ class Stopwatch:
         if self._stage:
             self.times.setdefault(self._stage, []).append(1000 * (now - self._begin))
         self._stage, self._begin = stage, now
+
+    def last(self) -> dict[str, float]:
+        """Milliseconds of the mapper's stages in the last frame that it looked at."""
+        return {stage: self.times[stage][-1] for stage in MAPPING if self.times.get(stage)}
 
 
 class Counting:

@@ -142,7 +142,7 @@ def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice) -
     with RerunObserver(
         out,
         voxel_size=result.voxel_size,
-        images=pictures.perception is not None,
+        images="jpeg" if pictures.perception is not None else "none",
         camera=pictures.recording is not None,
     ) as observer:
         for step in steps_of(path, pictures):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import FinishParameters, MapperParameters
 from openvox.core.types import Event, InstanceMap, InstanceSummary
-from openvox.mapper import projection
+from openvox.core.voxels import voxel_index, voxel_key
 from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
 
@@ -57,7 +57,7 @@ def finished_map(
             confidence = {i: _expected_overlap(value, theta[i], sizes[i]) for i, value in existence.items()}
     share = _share(own_row, own_id, own_count, shown, total)
     kept = [i for i in np.unique(shown).tolist() if i > 0]
-    index = projection.voxel_index(keys)
+    index = voxel_index(keys)
     used = np.unique(fragment[fragment > 0])
     size = parameters.map.voxel_size
     return InstanceMap(
@@ -119,10 +119,10 @@ def _smoothed(keys: Longs, row: Longs, instance: Longs, count: Longs, weight: in
     """Kernel counting: weight x own counts + those of the six face neighbours. 0 = own counts alone."""
     if weight == 0 or not len(keys):
         return row, instance, count
-    index = projection.voxel_index(keys).astype(np.int64)
+    index = voxel_index(keys).astype(np.int64)
     parts = [(row, instance, count * weight)]
     for face in FACES:
-        neighbour = _rows_of(keys, projection.voxel_key(index + np.array(face)))[row]
+        neighbour = _rows_of(keys, voxel_key(index + np.array(face)))[row]
         hit = neighbour >= 0
         parts.append((neighbour[hit], instance[hit], count[hit]))
     return _sum_by_instance(*(np.concatenate([part[i] for part in parts]) for i in range(3)))
@@ -189,10 +189,10 @@ def _parts(shown: Longs, keys: Longs) -> Longs:
     part = np.arange(len(keys))
     if not len(keys):
         return part
-    index = projection.voxel_index(keys).astype(np.int64)
+    index = voxel_index(keys).astype(np.int64)
     edges = []
     for step in HALF_NEIGHBOURS:
-        other = _rows_of(keys, projection.voxel_key(index + np.array(step)))
+        other = _rows_of(keys, voxel_key(index + np.array(step)))
         here = np.flatnonzero((other >= 0) & (shown > 0))
         here = here[shown[here] == shown[other[here]]]
         edges.append(np.stack([here, other[here]]))

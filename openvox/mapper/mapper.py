@@ -13,6 +13,7 @@ from openvox.core import fixedpoint
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.types import Decision, Event, Frame, InstanceMap, Mask, Step, VoxelChanges
+from openvox.core.voxels import voxel_key
 from openvox.mapper import state
 from openvox.mapper.associate import Association, associate_frame
 from openvox.mapper.codebook import NAMELESS, Fragment
@@ -23,7 +24,6 @@ from openvox.mapper.equations import FULL_WEIGHT
 from openvox.mapper.evidence import Evidence
 from openvox.mapper.finish import finished_map
 from openvox.mapper.life import Life
-from openvox.mapper.projection import voxel_key
 
 MIN_SEEN = 4
 """Voxels of a fragment that must be in view for a frame to count as having seen it."""

@@ -1,8 +1,4 @@
-"""From depth pixels to voxels, in integers: pose and intrinsics are quantised once a frame, the rest is int64.
-
-A voxel is floor(world / voxel_size) per axis; its key packs the three indices into 63 bits, so that ascending keys
-are ascending x, then y, then z.
-"""
+"""From depth pixels to voxels, in integers: pose and intrinsics are quantised once a frame, the rest is int64."""
 
 from __future__ import annotations
 
@@ -14,9 +10,8 @@ from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
 from openvox.core.types import Intrinsics, Pose, Rig
+from openvox.core.voxels import RANGE
 
-RANGE = 1 << 20
-"""Voxel indices lie in -RANGE .. RANGE - 1."""
 MAX_MILLIMETRES = 65535
 
 
@@ -110,16 +105,3 @@ def color_lookup(rig: Rig, rays: Rays) -> ColorLookup:
         np.array([round(value * (1 << 44)) for value in moved], np.int64),
         *(round(value * (1 << 16)) for value in (rig.color.fx, rig.color.fy, rig.color.cx, rig.color.cy)),
     )
-
-
-def voxel_key(index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(n, 3) voxel indices to (n,) keys of three 21-bit fields."""
-    shifted = index + RANGE
-    packed: NDArray[np.int64] = (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
-    return packed
-
-
-def voxel_index(key: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(n,) keys to (n, 3) voxel indices."""
-    field = (1 << 21) - 1
-    return np.stack([(key >> 42) - RANGE, ((key >> 21) & field) - RANGE, (key & field) - RANGE], 1).astype(np.int32)

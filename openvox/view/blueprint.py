@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import rerun as rr
 import rerun.blueprint as rrb
 
 from openvox.core.types import InstanceMap, Intrinsics
 from openvox.view import entities
+from openvox.view.lives import STATES
 from openvox.view.viewpoint import best_azimuth, centres, from_above
 
 VIEW = Intrinsics(500, 750, 720.0, 720.0, 249.5, 374.5)
@@ -33,41 +36,68 @@ def overview(result: InstanceMap) -> Eye:
     return Eye(tuple(position.tolist()), tuple(target.tolist()))
 
 
-def blueprint(eye: Eye | None = None) -> rrb.Blueprint:
-    """3D map | detected above rendered masks | this frame's decisions above events and curves; panels collapsed."""
-    pictures = rrb.Vertical(
-        rrb.Spatial2DView(
-            origin=entities.COLOR, contents=f"{entities.DETECTED}/**", name="Detected masks, coloured by instance"
-        ),
-        rrb.Spatial2DView(origin=entities.RENDERED, name="The map from the same pose"),
-    )
-    numbers = rrb.Vertical(
-        rrb.TextDocumentView(origin=entities.DECISION_TABLE, name="Decisions of this frame"),
-        rrb.Tabs(
-            rrb.TextLogView(origin=entities.EVENTS, name="Events", columns=_when_and_what()),
-            rrb.TimeSeriesView(origin=entities.INSTANCE_COUNT, name="Instances"),
-            rrb.TimeSeriesView(origin=entities.VOXEL_COUNT, name="Voxels"),
-        ),
-        row_shares=[3, 2],
-    )
-    maps = rrb.Tabs(
-        _spatial("Map, coloured by instance", f"- {entities.CONFIDENCE}/**", eye),
-        _spatial("Map, coloured by confidence", f"- {entities.INSTANCES}/**", eye),
-    )
+def blueprint(eye: Eye | None = None, *, pictures: bool = True) -> rrb.Blueprint:
+    """3D map | detected above rendered masks | this frame's decisions above what happened over time; panels collapsed.
+
+    pictures: whether there is a column for them."""
+    columns = [_maps(eye), *([_pictures()] if pictures else []), _numbers()]
     return rrb.Blueprint(
-        rrb.Horizontal(maps, pictures, numbers, column_shares=[10, 8, 15]),
+        rrb.Horizontal(*columns, column_shares=[11, 8, 15] if pictures else [1, 1]),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def _spatial(name: str, without: str, eye: Eye | None) -> rrb.Spatial3DView:
+def _maps(eye: Eye | None) -> rrb.Tabs:
+    return rrb.Tabs(
+        _spatial("Instances", [entities.INSTANCES, entities.CAPTIONS, entities.TOUCHED, entities.DETECTED], eye),
+        _spatial("Confidence", [entities.CONFIDENCE, entities.CAPTIONS], eye),
+        _spatial("Entropy", [entities.ENTROPY, entities.CAPTIONS], eye),
+        _spatial("Masks", [entities.REGIONS, entities.TOUCHED, entities.DETECTED], eye),
+    )
+
+
+def _pictures() -> rrb.Vertical:
+    return rrb.Vertical(
+        rrb.Tabs(
+            rrb.Spatial2DView(origin=entities.COLOR, contents=f"{entities.DETECTED}/**", name="Detected masks"),
+            rrb.Spatial2DView(origin=entities.DEPTH, name="Depth, m"),
+            rrb.Spatial2DView(origin=entities.BEST_VIEWS, name="Best views"),
+        ),
+        rrb.Tabs(
+            rrb.Spatial2DView(origin=entities.RENDERED, name="The map from the same pose"),
+            rrb.Spatial2DView(origin=entities.RENDERED_CONFIDENCE, name="Its confidence"),
+        ),
+    )
+
+
+def _numbers() -> rrb.Vertical:
+    configuration = rr.StateConfiguration(values=list(STATES), labels=list(STATES), colors=list(STATES.values()))
+    return rrb.Vertical(
+        rrb.Tabs(
+            rrb.TextDocumentView(origin=entities.DECISION_TABLE, name="Decisions of this frame"),
+            rrb.GraphView(origin=entities.GRAPH, name="As a graph"),
+            rrb.TextDocumentView(origin=entities.INSTANCE_TABLE, name="All instances"),
+        ),
+        rrb.Tabs(
+            rrb.TextLogView(origin=entities.EVENTS, name="Events", columns=_when_and_what()),
+            rrb.StateTimelineView(origin=entities.LIVES, name="Lives", defaults=[configuration]),
+            rrb.TimeSeriesView(origin=entities.MARGINS, name="Margins"),
+            rrb.TimeSeriesView(origin=entities.INSTANCE_COUNT, name="Instances"),
+            rrb.TimeSeriesView(origin=entities.VOXEL_COUNT, name="Voxels"),
+            rrb.TimeSeriesView(origin=entities.MILLISECONDS, name="Milliseconds"),
+        ),
+        row_shares=[3, 2],
+    )
+
+
+def _spatial(name: str, shown: Sequence[str], eye: Eye | None) -> rrb.Spatial3DView:
     return rrb.Spatial3DView(
         origin=entities.WORLD,
-        contents=[f"+ {entities.WORLD}/**", without, f"+ {entities.DETECTED}/**"],
+        contents=[f"+ {path}/**" for path in (entities.CAMERA, entities.TRAJECTORY, *shown)],
         name=name,
-        overrides={entities.TRAJECTORY: _from_the_start()},
+        overrides={entities.TRAJECTORY: _from_the_start(), entities.CAPTIONS: rrb.EntityBehavior(visible=False)},
         eye_controls=None
         if eye is None
         else rrb.EyeControls3D(

@@ -40,7 +40,7 @@ def _row(decision: Decision, mask: Mask) -> str:
     others = [candidate for candidate in decision.candidates if candidate.instance != decision.instance]
     cells = [
         str(decision.mask),
-        _escaped(shortened(mask.caption or mask.label, CAPTION)),
+        escaped(shortened(mask.caption or mask.label, CAPTION)),
         f"**{decision.instance}**" if decision.instance else NONE,
         decision.by,
         f"{a} / {decision.threshold / Q20:.2f}",
@@ -53,13 +53,14 @@ def _row(decision: Decision, mask: Mask) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
     """Text that Markdown shows as it is."""
     return "".join(f"\\{letter}" if letter in "\\`*_[]<>|#&~" else letter for letter in text)
 
 
 def columns(step: Step) -> Mapping[str, Any]:
-    """Name to one value a decision: numbers as they are, scores and credibility as exact float64 (not Q20, Q12)."""
+    """Name to one value a decision: numbers as they are, scores and credibility not as Q20, Q12 but as float32, which
+    holds them exactly."""
     decisions = step.decisions
     masks = [step.masks[decision.mask] for decision in decisions]
     scores = ("s_geo", "s_fea", "a", "threshold", "visibility")
@@ -68,6 +69,31 @@ def columns(step: Step) -> Mapping[str, Any]:
         **{name: np.array([getattr(decision, name) for decision in decisions], np.int32) for name in counts},
         "caption": [mask.caption for mask in masks],
         "by": [decision.by for decision in decisions],
-        **{name: np.array([getattr(decision, name) / Q20 for decision in decisions], np.float64) for name in scores},
-        "credibility": np.array([decision.credibility / Q12 for decision in decisions], np.float64),
+        **{name: np.array([getattr(decision, name) / Q20 for decision in decisions], np.float32) for name in scores},
+        "credibility": np.array([decision.credibility / Q12 for decision in decisions], np.float32),
     }
+
+
+def candidate_columns(step: Step) -> Mapping[str, Any]:
+    """Name to one value a candidate of any mask, in the order of masks, the best candidate first."""
+    pairs = [(decision.mask, candidate) for decision in step.decisions for candidate in decision.candidates]
+    return {
+        "mask": np.array([mask for mask, _ in pairs], np.int32),
+        **{name: np.array([getattr(one, name) for _, one in pairs], np.int32) for name in ("instance", "overlap")},
+        **{
+            name: np.array([getattr(one, name) / Q20 for _, one in pairs], np.float32)
+            for name in ("s_geo", "s_fea", "a")
+        },
+    }
+
+
+def margins(step: Step) -> tuple[float, float] | None:
+    """The least margins of the frame: best A minus threshold (nearest to 0, with its sign), best minus second best A.
+
+    None if no mask had a candidate. A single candidate is compared with a second best of 0."""
+    best = [decision for decision in step.decisions if decision.candidates]
+    if not best:
+        return None
+    over = min((decision.candidates[0].a - decision.threshold for decision in best), key=abs)
+    ahead = min(d.candidates[0].a - (d.candidates[1].a if len(d.candidates) > 1 else 0) for d in best)
+    return over / Q20, ahead / Q20

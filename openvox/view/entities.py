@@ -12,19 +12,33 @@ WORLD = "world"
 CAMERA = "world/camera"
 TRAJECTORY = "world/trajectory"
 INSTANCES = "world/instances"
+CAPTIONS = "world/captions"
 CONFIDENCE = "world/confidence"
-VOXEL_STATES = "world/voxel_states"
+ENTROPY = "world/entropy"
+TOUCHED = "world/touched"
+REGIONS = "world/masks"
 
 DETECTED = "camera/detected"
 COLOR = "camera/detected/color"
 MASKS = "camera/detected/masks"
+DEPTH = "camera/depth"
 RENDERED = "camera/rendered"
+RENDERED_CONFIDENCE = "camera/rendered_confidence"
 
 DECISION_TABLE = "decisions/table"
 DECISION_DATA = "decisions/data"
+CANDIDATES = "decisions/candidates"
+GRAPH = "decisions/graph"
 EVENTS = "events"
+LIVES = "lives"
+INSTANCE_TABLE = "instances/table"
+BEST_VIEWS = "instances/views"
+BEST_VIEW_NAMES = "instances/views/names"
+STATS = "stats"
 INSTANCE_COUNT = "stats/instances"
 VOXEL_COUNT = "stats/voxels"
+MARGINS = "stats/margins"
+MILLISECONDS = "stats/milliseconds"
 
 
 def instance_path(instance: int) -> str:
@@ -35,6 +49,21 @@ def instance_path(instance: int) -> str:
 def confidence_path(instance: int) -> str:
     """Voxels of one instance coloured by confidence."""
     return f"{CONFIDENCE}/{instance:04d}"
+
+
+def entropy_path(instance: int) -> str:
+    """Voxels of one instance coloured by the entropy of their votes."""
+    return f"{ENTROPY}/{instance:04d}"
+
+
+def life_path(instance: int) -> str:
+    """States of one instance over time."""
+    return f"{LIVES}/{instance:04d}"
+
+
+def region_path(mask: int) -> str:
+    """Voxels under one mask of the frame."""
+    return f"{REGIONS}/{mask:02d}"
 
 
 CAMERA_FRAME = f"tf#/{CAMERA}"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.colors import instance_color
-from openvox.core.types import Mask, Step
+from openvox.core.types import InstanceMap, Mask, Step
 
 NOTHING = -1
 UNASSIGNED = (160, 160, 160)
@@ -68,27 +68,42 @@ def shortened(text: str, length: int) -> str:
 
 
 class Captions:
-    """Which caption each instance was given most often so far (the first in the alphabet among equals)."""
+    """Which captions each instance was given so far, and in how many frames a mask went to it."""
 
-    def __init__(self) -> None:
-        self._counts: dict[int, dict[str, int]] = {}  # by the instance that was chosen, which has the id of a fragment
+    def __init__(self, earlier: InstanceMap | None = None) -> None:
+        self._counts: dict[int, dict[str, float]] = {}  # by the instance that was chosen, which has a fragment's id
+        self._frames: dict[int, int] = {}
         self._parts: dict[int, list[int]] = {}
+        for summary in earlier.instances if earlier else ():
+            self._counts[summary.id] = dict(summary.captions)
+            self._frames[summary.id] = summary.observations
 
     def add(self, step: Step) -> None:
         """Count the captions of this frame's masks; instances that merged share theirs until they part."""
         for decision in step.decisions:
-            caption = step.masks[decision.mask].caption
-            if decision.instance and caption:
+            if decision.instance:
                 counts = self._counts.setdefault(decision.instance, {})
-                counts[caption] = counts.get(caption, 0) + 1
+                caption = step.masks[decision.mask].caption
+                if caption:
+                    counts[caption] = counts.get(caption, 0) + 1
+        for instance in {decision.instance for decision in step.decisions}:
+            self._frames[instance] = self._frames.get(instance, 0) + 1
         self._parts = {}
         for chosen in self._counts:
             self._parts.setdefault(step.instance_of.get(chosen, chosen), []).append(chosen)
 
-    def of(self, instance: int) -> str:
-        """The caption, or nothing if no mask had one."""
-        total: dict[str, int] = {}
+    def votes(self, instance: int) -> list[tuple[str, float]]:
+        """Captions and how often each was given, most first, then by the alphabet."""
+        total: dict[str, float] = {}
         for chosen in self._parts.get(instance, []):
             for caption, count in self._counts[chosen].items():
                 total[caption] = total.get(caption, 0) + count
-        return min(total, key=lambda caption: (-total[caption], caption), default="")
+        return sorted(total.items(), key=lambda item: (-item[1], item[0]))
+
+    def observations(self, instance: int) -> int:
+        """Frames in which a mask went to it, or to what has merged into it."""
+        return sum(self._frames.get(chosen, 0) for chosen in self._parts.get(instance, []))
+
+    def of(self, instance: int) -> str:
+        """The caption given most often, or nothing if no mask had one."""
+        return next((caption for caption, _ in self.votes(instance)), "")

@@ -1,18 +1,19 @@
-"""The map as an observer knows it: voxel states and instances after the last step, rebuilt from what steps tell."""
+"""The map as an observer knows it: whose every voxel is after the last step, rebuilt from what steps tell."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.core.fixedpoint import Q20
-from openvox.core.types import Step, VoxelChanges
+from openvox.core.types import InstanceMap, Step, VoxelChanges
+from openvox.core.voxels import voxel_index, voxel_key
+from openvox.view.votes import Votes
 
-Number = TypeVar("Number", np.int32, np.uint8)
+Number = TypeVar("Number", np.int32, np.int64)
 Rows = NDArray[np.int64]
 """Numbers of voxels, in the order of their first vote."""
 NONE = np.zeros(0, np.int64)
@@ -22,77 +23,100 @@ NONE = np.zeros(0, np.int64)
 class Change:
     """What one step changed, as far as it can be seen."""
 
-    first_new: int
-    """Number of the first new voxel."""
-    rows: Rows
-    """Voxels whose instance or whose owner's share, in percent, is another now, ascending; new voxels included."""
     moved: Mapping[int, int]
     """Voxels that came to or left each instance, by id ascending; 0 = background."""
     regrouped: tuple[int, ...]
     """Instances that gained or lost a whole fragment (new, merged, split), ascending."""
+    touched: tuple[int, ...]
+    """Instances of the voxels in which a count changed, ascending; 0 = background."""
 
 
 class LiveMap:
-    """Owner and share of every voxel, and each fragment's voxels; grows with the map, costs with the change."""
+    """Owner of every voxel, each fragment's voxels, and all votes; grows with the map, costs with the change."""
 
     def __init__(self) -> None:
         self.size = 0
-        self._index = np.zeros((0, 3), np.int32)
+        self.votes = Votes()
+        self._key = np.zeros(0, np.int64)
         self._owner = np.zeros(0, np.int32)
-        self._percent = np.zeros(0, np.uint8)
         self._members: dict[int, Rows] = {}
-        self._instance_of = np.zeros(1, np.int32)
+        self.instance_of = np.zeros(1, np.int32)
+        """Instance of every fragment, by id."""
         self._fragments: dict[int, list[int]] = {}
 
-    @property
-    def index(self) -> NDArray[np.int32]:
-        """(size, 3): floor(world / voxel_size) of every voxel."""
-        return self._index[: self.size]
+    @classmethod
+    def beginning_with(cls, earlier: InstanceMap) -> Self:
+        """As a run leaves it that ended with this map; the next step says to which instances fragments belong."""
+        live = cls()
+        keys = earlier.state["key"]
+        order = np.argsort(keys)
+        number = order[np.searchsorted(keys[order], voxel_key(earlier.voxel_index.astype(np.int64)))]
+        row = np.repeat(number, np.diff(earlier.vote_offset))
+        fragment, count = earlier.vote_fragment.astype(np.int64), earlier.vote_count
+        live.votes.add(row, earlier.vote_fragment, count)
+        background, best = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.int64)
+        named = fragment > 0
+        background[row[fragment == 0]] = count[fragment == 0]
+        rank = (count.astype(np.int64) << 32) | (0xFFFFFFFF - fragment)  # the lowest id on a tie
+        np.maximum.at(best, row[named], rank[named])
+        owner = np.where(best >> 32 > background, 0xFFFFFFFF - (best & 0xFFFFFFFF), 0).astype(np.int32)
+        live.size, live._key, live._owner = len(keys), keys.astype(np.int64), owner
+        by_owner = np.argsort(owner, kind="stable")
+        owners, first = np.unique(owner[by_owner], return_index=True)
+        live._members = dict(zip(owners.tolist(), np.split(by_owner, first[1:]), strict=True)) if len(keys) else {}
+        live._members.pop(0, None)
+        return live
 
-    @property
-    def percent(self) -> NDArray[np.uint8]:
-        """(size,): the owner's share of all votes."""
-        return self._percent[: self.size]
+    def index_of(self, rows: Rows) -> NDArray[np.int32]:
+        """(n, 3): floor(world / voxel_size) of these voxels."""
+        return voxel_index(self._key[rows])
+
+    def index(self) -> NDArray[np.int32]:
+        """(size, 3): of every voxel."""
+        return voxel_index(self._key[: self.size])
 
     def instances(self) -> NDArray[np.int32]:
         """(size,): instance of every voxel, 0 = background."""
-        return self._instance_of[self._owner[: self.size]]
+        return self.instance_of[self._owner[: self.size]]
 
     def instances_of(self, rows: Rows) -> NDArray[np.int32]:
         """Instance of each of these voxels."""
-        return self._instance_of[self._owner[rows]]
+        return self.instance_of[self._owner[rows]]
 
     def rows(self, instance: int) -> Rows:
-        """The voxels of an instance, ascending."""
+        """The voxels of an instance, ascending: an old list begins a new one, which a file packs well."""
         parts = [self._members.get(fragment, NONE) for fragment in self._fragments.get(instance, [])]
         return np.sort(np.concatenate(parts)) if parts else NONE
 
+    def count(self, instance: int) -> int:
+        """Number of voxels of an instance."""
+        return sum(len(self._members.get(fragment, NONE)) for fragment in self._fragments.get(instance, []))
+
     def populated(self) -> list[int]:
         """Instances that have a voxel, ascending."""
-        return [
-            instance
-            for instance, fragments in sorted(self._fragments.items())
-            if any(len(self._members.get(fragment, NONE)) for fragment in fragments)
-        ]
+        return [instance for instance in sorted(self._fragments) if instance and self.count(instance)]
+
+    def sureness(self, rows: Rows) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Of these voxels: the share of all votes that its instance has, and the entropy of the votes, bits."""
+        return self.votes.look(rows, self.instances_of(rows), self.instance_of)
 
     def apply(self, step: Step) -> Change:
         """Take over what a step changed; steps come in order, from the first."""
         changes = step.changes
         self._grow(changes)
+        self.votes.apply(changes)
         before = self._regroup(step.instance_of)
-        fragments = np.flatnonzero(before != self._instance_of)
+        fragments = np.flatnonzero(before != self.instance_of)
         carried = [self._members.get(fragment, NONE) for fragment in fragments.tolist()]
         rows = np.unique(np.concatenate([changes.touched.astype(np.int64), *carried]))
-        was, percent = before[self._owner[rows]], self._percent[rows]
+        was = before[self._owner[rows]]
         self._write(changes)
-        now = self._instance_of[self._owner[rows]]
+        now = self.instance_of[self._owner[rows]]
         elsewhere, count = np.unique(np.concatenate([was[was != now], now[was != now]]), return_counts=True)
-        different = (was != now) | (percent != self._percent[rows]) | (rows >= changes.first_new)
         return Change(
-            first_new=changes.first_new,
-            rows=rows[different],
             moved=dict(zip(elsewhere.tolist(), count.tolist(), strict=True)),
-            regrouped=tuple(np.unique([before[fragments], self._instance_of[fragments]]).tolist()),
+            regrouped=tuple(np.unique([before[fragments], self.instance_of[fragments]]).tolist()),
+            touched=tuple(np.unique(now).tolist()),
         )
 
     def _grow(self, changes: VoxelChanges) -> None:
@@ -101,15 +125,14 @@ class LiveMap:
         needed = self.size + len(changes.new_index)
         if needed > len(self._owner):
             room = max(needed, 2 * len(self._owner), 1024)
-            self._index = _enlarged(self._index, room)
-            self._owner, self._percent = _enlarged(self._owner, room), _enlarged(self._percent, room)
-        self._index[self.size : needed] = changes.new_index
+            self._key, self._owner = _enlarged(self._key, room), _enlarged(self._owner, room)
+        self._key[self.size : needed] = voxel_key(changes.new_index.astype(np.int64))
         self.size = needed
 
     def _write(self, changes: VoxelChanges) -> None:
-        """Take over owners and shares, and keep each fragment's list of voxels: drop those that left, append others."""
+        """Take over owners, and keep each fragment's list of voxels: drop those that left, append others."""
         left = self._owner[changes.touched]
-        self._owner[changes.touched], self._percent[changes.touched] = changes.owner, percent_of(changes.share)
+        self._owner[changes.touched] = changes.owner
         swapped = left != changes.owner
         rows, joined = changes.touched[swapped].astype(np.int64), changes.owner[swapped]
         for fragment in np.unique(np.concatenate([left[swapped], joined])).tolist():
@@ -120,20 +143,15 @@ class LiveMap:
 
     def _regroup(self, instance_of: Mapping[int, int]) -> NDArray[np.int32]:
         """Take over the instances of all fragments; returns the table before, as long as the one after."""
-        largest = max(max(instance_of, default=0), len(self._instance_of) - 1)
-        before = _enlarged(self._instance_of, largest + 1)
+        largest = max(max(instance_of, default=0), len(self.instance_of) - 1)
+        before = _enlarged(self.instance_of, largest + 1)
         after = np.zeros(largest + 1, np.int32)
         self._fragments = {}
         for fragment, instance in sorted(instance_of.items()):
             after[fragment] = instance
             self._fragments.setdefault(instance, []).append(fragment)
-        self._instance_of = after
+        self.instance_of = after
         return before
-
-
-def percent_of(share: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """Shares in Q20, rounded half up to whole percents."""
-    return ((share.astype(np.int64) * 100 + (Q20 >> 1)) >> 20).astype(np.uint8)
 
 
 def _enlarged(array: NDArray[Number], length: int) -> NDArray[Number]:

@@ -40,6 +40,13 @@ def replay(
         int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
     ] = None,
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
+    images: Annotated[
+        Literal["none", "jpeg", "all"],
+        typer.Option(help="For Rerun: no pictures; colour as JPEG and drawings; or all as it is, and depth."),
+    ] = "jpeg",
+    every: Annotated[
+        int, typer.Option(min=1, metavar="N", help="For Rerun: pictures and voxels of every N-th frame only.")
+    ] = 1,
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
@@ -62,6 +69,8 @@ def replay(
         resume=resume,
         max_memory=max_memory,
         rerun=rerun,
+        images=images,
+        every=every,
         start=start,
         end=end,
         stride=stride,

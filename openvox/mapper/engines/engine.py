@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.types import DepthImage, Frame, Mask, Rig, VoxelChanges
+from openvox.core.voxels import voxel_index
 from openvox.mapper import projection
 from openvox.mapper.engines import labels, paint, pixels
 from openvox.mapper.engines.labels import read_only
@@ -207,7 +208,7 @@ class Engine:
         else:
             pair_voxel, pair_mask = _expanded(voxel, label, members, masks, p.evolution.background or p.evolution.veto)
             if p.masks.inliers:
-                kept = inliers(projection.voxel_index(keys), pair_voxel, pair_mask, masks)
+                kept = inliers(voxel_index(keys), pair_voxel, pair_mask, masks)
                 pair_voxel, pair_mask = pair_voxel[kept], pair_mask[kept]
         return Region(keys, pair_voxel, pair_mask, masks, np.bincount(pair_mask, minlength=masks + 1)[:masks])
 
@@ -289,7 +290,7 @@ class Engine:
         row32, what32 = (packed >> 32).astype(np.int32), ((packed & 0xFFFFFFFF) + NAMELESS).astype(np.int32)
         owner, share = self._kernels.owners(touched)
         first_new, self._told, self._changed = self._told, self.voxels, []
-        index, self._new_keys = projection.voxel_index(np.concatenate(self._new_keys)), []
+        index, self._new_keys = voxel_index(np.concatenate(self._new_keys)), []
         changes = VoxelChanges(first_new, index, row32, what32, self._counts(row32, what32), touched, owner, share)
         rows = self._kernels.look_up(region.keys, 1)[0] if self._parameters.association.one_by_one else look.rows
         return changes, self._kernels.owners(rows)[0]
@@ -310,7 +311,7 @@ class Engine:
         rows = np.arange(len(keys), dtype=np.int32)
         return VoxelChanges(
             0,
-            projection.voxel_index(keys),
+            voxel_index(keys),
             row[order],
             fragment[order],
             count[order],

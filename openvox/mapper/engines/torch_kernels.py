@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from openvox.core.errors import InputError
+from openvox.core.voxels import RANGE
 from openvox.mapper import equations
 from openvox.mapper.engines.engine import Bools, Ints, Longs, Look, Region, View
 from openvox.mapper.engines.pixels import EMPTY
-from openvox.mapper.projection import RANGE
 
 if TYPE_CHECKING:
     from torch import Tensor
