@@ -105,7 +105,7 @@ def test_a_map_without_instances_exports_nothing_in_good_form(tmp_path: Path) ->
 
 
 def test_an_unknown_ending_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a.obj ends in .obj; expected .ply, .csv or .jsonl"):
+    with pytest.raises(InputError, match=r"a.obj ends in .obj; expected .ply, .glb, .csv or .jsonl"):
         export(tmp_path / "missing.npz", tmp_path / "a.obj")
     with pytest.raises(InputError, match="ends in nothing"):
         export(tmp_path / "missing.npz", tmp_path / "a")

@@ -44,13 +44,15 @@ def kind_of(path: Path) -> str:
 
 
 def parameters() -> dict[str, Any]:
-    """Every parameter of the mapper and of perception: {"parameters": [one object each]}."""
+    """Every parameter of the mapper, of perception and of exports: {"parameters": [one object each]}."""
+    from openvox.core.export_parameters import ExportParameters
     from openvox.core.mapper_parameters import MapperParameters
     from openvox.core.parameters import describe
     from openvox.perception.parameters import PerceptionParameters
 
     rows = []
-    for command, group in (("replay", MapperParameters()), ("perceive", PerceptionParameters())):
+    groups = (("replay", MapperParameters()), ("perceive", PerceptionParameters()), ("export", ExportParameters()))
+    for command, group in groups:
         rows += [{**asdict(row), "range": row.range, "command": command} for row in describe(group)]
     return {"parameters": rows}
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from openvox.apps.info import kind_of
+from openvox.apps.origin import named_digest, recording_of
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.core.types import InstanceMap
@@ -99,7 +100,7 @@ def _one_map(
         trace = _trace_beside(path, result)
         if trace is None:
             remarks.append("No statistics of decisions: the trace of this map was not given, and is not beside it.")
-    source = _recording_of(path, result, recording)
+    source = recording_of(path, result, recording)
     pieces = {}
     if source is None:
         remarks.append("No pictures of the instances: the recording was not found with the map, or is another one.")
@@ -112,17 +113,11 @@ def _one_map(
     return map_page(title, result, map_digest(result), run, pieces, remarks), trace, source, remarks
 
 
-def _digest_of(result: InstanceMap, name: str) -> str | None:
-    digests = result.meta.get("digests")
-    found = digests.get(name) if isinstance(digests, dict) else None
-    return found if isinstance(found, str) else None
-
-
 def _check_trace(path: Path, result: InstanceMap, trace: Path) -> None:
     kind = kind_of(trace)
     if kind != "trace":
         raise InputError(f"{trace} is a {kind}; expected the trace of {path}, or a second map")
-    found, expected = trace_info(trace).digest, _digest_of(result, "trace")
+    found, expected = trace_info(trace).digest, named_digest(result, "trace")
     if found != expected:
         raise InputError(
             f"{trace} is of another run than {path}: its digest is {found[:12]}, the map names "
@@ -133,26 +128,6 @@ def _check_trace(path: Path, result: InstanceMap, trace: Path) -> None:
 def _trace_beside(path: Path, result: InstanceMap) -> Path | None:
     beside = path.with_name(path.name.removesuffix(SUFFIX) + TRACE_SUFFIX)
     try:
-        return beside if beside.exists() and trace_info(beside).digest == _digest_of(result, "trace") else None
-    except InputError:
-        return None  # it was not asked for
-
-
-def _recording_of(path: Path, result: InstanceMap, given: Path | None) -> Path | None:
-    """The recording with the digest that the map names. Raises InputError where one was given that has another."""
-    expected = _digest_of(result, "recording")
-    if given is not None:
-        found = recording_info(given).digest
-        if found != expected:
-            raise InputError(
-                f"{given} is not the recording of {path}: its digest is {found[:12]}, the map names "
-                f"{(expected or 'none')[:12]}; give the recording that was replayed"
-            )
-        return given
-    named = result.meta.get("recording")
-    if not isinstance(named, str) or not named or Path(named).is_absolute():
-        return None
-    try:
-        return path.parent / named if recording_info(path.parent / named).digest == expected else None
+        return beside if beside.exists() and trace_info(beside).digest == named_digest(result, "trace") else None
     except InputError:
         return None  # it was not asked for

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
+from openvox.view.faces import open_faces
 from openvox.view.pictures import CEILING_METRES, FLOOR_METRES, floor_and_ceiling
 
 MOST_CELLS = 200_000
@@ -24,7 +25,7 @@ def scene(result: InstanceMap) -> dict[str, Any]:
     if len(result.instance_id) >= SPAN:
         raise InputError(f"the map has {len(result.instance_id)} instances; a page shows up to {SPAN - 1}")
     index, instance, confidence, joined = _coarse(result)
-    faces = _open_faces(index, instance)
+    faces = open_faces(index, instance)
     seen = faces > 0
     low = index.min(0) if len(index) else np.zeros(3, np.int64)
     cells = np.zeros(int(seen.sum()), CELL)
@@ -63,21 +64,6 @@ def _coarse(
         first[1:] = (index[1:] != index[:-1]).any(1)
         index, instance, confidence = index[first], instance[order][first], confidence[order][first]
     return index, instance, confidence, joined
-
-
-def _open_faces(index: NDArray[np.int64], instance: NDArray[np.int32]) -> NDArray[np.uint8]:
-    """The faces of each cell behind which no cell of the same instance lies; index ascends by x, then y, then z."""
-    low = index.min(0) - 1 if len(index) else np.zeros(3, np.int64)
-    steps = np.array([1 << 42, 1 << 21, 1])
-    key = (index - low) @ steps
-    faces = np.zeros(len(index), np.uint8)
-    for axis in range(3):
-        for upper in (0, 1):
-            beside = key + (2 * upper - 1) * steps[axis]
-            at = np.minimum(np.searchsorted(key, beside), max(len(key) - 1, 0))
-            covered = (key[at] == beside) & (instance[at] == instance)
-            faces |= np.where(covered, 0, 1 << (2 * axis + upper)).astype(np.uint8)
-    return faces
 
 
 def _cut(level: NDArray[np.int64], size: float) -> tuple[float, float]:
