@@ -11,8 +11,10 @@ import pytest
 from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
 from openvox.core.types import InstanceMap
 from openvox.core.voxels import voxel_key
+from openvox.mapper import finish
 from openvox.mapper.codebook import Fragment
 from openvox.mapper.finish import finished_map, unit
+from openvox.mapper.frameset import FrameSet
 from openvox.mapper.life import Life
 
 Voxel = tuple[int, int, int]
@@ -22,7 +24,7 @@ ALWAYS = {"min_frames": 0, "min_share": 0.0, "min_voxels": 0, "min_part": 0.0, "
 
 def fragment(f: int, *, matched: int = 0b1, seen: int = 0b1, score: float = 1.0) -> Fragment:
     """A fragment matched and seen in the frames whose bits are set, with detections of one score."""
-    part = Fragment(f, 0, 0, np.zeros(0, np.int64), matched=matched, seen=seen)
+    part = Fragment(f, 0, 0, np.zeros(0, np.int64), matched=FrameSet({0: matched}), seen=FrameSet({0: seen}))
     part.score, part.observations = round(score * 4096), 1
     return part
 
@@ -113,6 +115,15 @@ def test_neighbours_along_an_edge_do_not_count_and_no_row_is_made() -> None:
 
 
 # ---- existence ------------------------------------------------------------------------------------------------------
+
+
+def test_voxels_smoothed_a_few_at_a_time_show_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    votes = {(x, y, 0): {0: (x * y) % 3, 1 + (x + y) % 2: 1 + (5 * x + y) % 4} for x in range(5) for y in range(4)}
+    whole = shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3)))
+    assert len(set(whole.values())) == 2
+    for few in (1, 3, 19, 20):
+        monkeypatch.setattr(finish, "CHUNK", few)
+        assert shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3))) == whole
 
 
 @pytest.mark.parametrize(

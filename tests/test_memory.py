@@ -34,9 +34,9 @@ def test_a_run_that_needs_more_ends_in_a_sentence_and_leaves_nothing(recording: 
 def test_what_finishing_will_take_counts(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "memory_in_use", lambda: 0)
     voxels = replay(recording, max_memory=1000)["voxels"]
-    monkeypatch.setattr(memory, "memory_in_use", lambda: 5_000_000 - 840 * voxels)
+    monkeypatch.setattr(memory, "memory_in_use", lambda: 5_000_000 - 200 * voxels)
     assert replay(recording, max_memory=5)["voxels"] == voxels
-    monkeypatch.setattr(memory, "memory_in_use", lambda: 6_000_001 - 840 * voxels)
+    monkeypatch.setattr(memory, "memory_in_use", lambda: 6_000_001 - 200 * voxels)
     with pytest.raises(InputError, match=r"frame 2: .* needs 6 MB"):
         replay(recording, max_memory=5)
 

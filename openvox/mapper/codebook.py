@@ -1,8 +1,7 @@
 """What the mapper remembers of each fragment beside its voxels: the codebook, captions, and when it was seen.
 
 A fragment is a piece that nothing has contradicted yet; an instance is one or more fragments. In preset paper they are
-the same. Frames are counted as bits of Python integers, so that "frames in which any of these was matched" is exact
-for every set of fragments.
+the same. Frames are kept as sets, so that "frames in which any of these was matched" is exact for every set of fragments.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from openvox.core import fixedpoint
 from openvox.mapper import equations
+from openvox.mapper.frameset import FrameSet
 
 NAMELESS = 32
 """A caption that names nothing counts one in so many: it must not outvote a name."""
@@ -33,9 +33,9 @@ class Fragment:
     """W in Q12."""
     captions: dict[str, int] = field(default_factory=dict)
     """Support of each caption: sum of w times its score, Q12."""
-    matched: int = 0
-    """Bit n is set if a mask held the fragment in the n-th frame looked at."""
-    seen: int = 0
+    matched: FrameSet = field(default_factory=FrameSet)
+    """The frames, numbered by those looked at, in which a mask held the fragment."""
+    seen: FrameSet = field(default_factory=FrameSet)
     score: int = 0
     """Sum of detection scores in Q12, over `observations` masks."""
     observations: int = 0
@@ -63,7 +63,7 @@ class Fragment:
         """Give a piece that is cut off this fragment's memory: what was seen of the whole was seen of the piece."""
         piece.first_frame, piece.total, piece.weight = self.first_frame, self.total, self.weight
         piece.direction, piece.square, piece.captions = self.direction, self.square, dict(self.captions)
-        piece.matched, piece.seen = self.matched, self.seen
+        piece.matched, piece.seen = self.matched.copy(), self.seen.copy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,18 +98,16 @@ def memory_of(fragments: Iterable[Fragment]) -> Memory:
     """The fragments' memories as one; at least one fragment."""
     parts = list(fragments)
     captions: dict[str, int] = {}
-    matched = seen = 0
+    matched = FrameSet.union(part.matched for part in parts)
     for part in parts:
-        matched |= part.matched
-        seen |= part.seen
         for text, support in part.captions.items():
             captions[text] = captions.get(text, 0) + support
     return Memory(
         total=parts[0].total if len(parts) == 1 else np.sum([part.total for part in parts], axis=0),
         weight=sum(part.weight for part in parts),
         captions=tuple(sorted(captions.items(), key=lambda item: (-item[1], item[0]))),
-        matched=matched.bit_count(),
-        seen=(seen | matched).bit_count(),
+        matched=len(matched),
+        seen=len(FrameSet.union([matched, *(part.seen for part in parts)])),
         score=sum(part.score for part in parts),
         observations=sum(part.observations for part in parts),
         first_frame=min(part.first_frame for part in parts),

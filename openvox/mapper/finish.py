@@ -16,6 +16,9 @@ from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
 
 Longs = NDArray[np.int64]
+Ints = NDArray[np.int32]
+CHUNK = 1 << 13
+"""Voxels that are smoothed at a time."""
 RIM = 10
 """Voxels at which an instance is about as much rim as body."""
 FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
@@ -24,7 +27,7 @@ HALF_NEIGHBOURS = tuple((i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k 
 
 
 def finished_map(
-    votes: tuple[Longs, NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]],
+    votes: tuple[Longs, Ints, Ints, Ints],
     fragments: Mapping[int, Fragment],
     instance_of: Mapping[int, int],
     life: Life,
@@ -33,10 +36,10 @@ def finished_map(
 ) -> InstanceMap:
     """The map of all votes: voxel keys by number, then voxel number, fragment and count of every vote, unordered."""
     keys, row, fragment, count = _sorted_votes(*votes)
-    owner = np.array([0, *(instance_of[f] for f in range(1, len(fragments) + 1))], np.int64)
+    owner = np.array([0, *(instance_of[f] for f in range(1, len(fragments) + 1))], np.int32)
     voted = fragment >= int(parameters.evolution.veto)  # nameless votes and a veto's are in totals alone
     own_row, own_id, own_count = _sum_by_instance(row[voted], owner[fragment[voted]], count[voted])
-    shown = _strongest(*_smoothed(keys, own_row, own_id, own_count, parameters.finish.smoothing), len(keys))
+    shown = _shown(keys, own_row, own_id, own_count, parameters.finish.smoothing)
     members = members_of(instance_of)
     memories = {instance: memory_of(fragments[f] for f in group) for instance, group in members.items()}
     bare = (fragment == 0) & parameters.evolution.veto
@@ -93,39 +96,54 @@ def unit(total: Longs) -> NDArray[np.float32]:
     return (short.astype(np.float64) / norm).astype(np.float32)
 
 
-def _sorted_votes(
-    keys: Longs, row: NDArray[np.int32], fragment: NDArray[np.int32], count: NDArray[np.int32]
-) -> tuple[Longs, Longs, Longs, Longs]:
+def _sorted_votes(keys: Longs, row: Ints, fragment: Ints, count: Ints) -> tuple[Longs, Ints, Ints, Ints]:
     """Voxels by key, only those that hold a vote; votes by voxel, then fragment."""
     order = np.argsort(keys)
     held = np.bincount(row, count, len(keys)) > 0
     order = order[held[order]]
-    place = np.full(len(keys), -1, np.int64)
-    place[order] = np.arange(len(order))
+    place = np.full(len(keys), -1, np.int32)
+    place[order] = np.arange(len(order), dtype=np.int32)
     by = np.lexsort((fragment, place[row]))
     by = by[count[by] > 0]
-    return keys[order], place[row[by]], fragment[by].astype(np.int64), count[by].astype(np.int64)
+    return keys[order], place[row[by]], fragment[by], count[by]
 
 
-def _sum_by_instance(row: Longs, instance: Longs, count: Longs) -> tuple[Longs, Longs, Longs]:
+def _sum_by_instance(row: Ints, instance: Ints, count: Ints | Longs) -> tuple[Ints, Ints, Longs]:
     """Votes summed per (voxel, instance), by voxel, then instance."""
-    packed, where = np.unique((row << 32) | instance, return_inverse=True)
-    summed = np.zeros(len(packed), np.int64)
-    np.add.at(summed, where, count)
-    return packed >> 32, packed & 0xFFFFFFFF, summed
+    packed = (row.astype(np.int64) << 32) | instance
+    order = np.argsort(packed, kind="stable")  # quick: voxels are mostly in order already
+    packed = packed[order]
+    first = np.flatnonzero(np.diff(packed, prepend=-1))
+    summed = np.add.reduceat(count[order], first, dtype=np.int64) if len(first) else count.astype(np.int64)
+    packed = packed[first]
+    return (packed >> 32).astype(np.int32), (packed & 0xFFFFFFFF).astype(np.int32), summed
 
 
-def _smoothed(keys: Longs, row: Longs, instance: Longs, count: Longs, weight: int) -> tuple[Longs, Longs, Longs]:
-    """Kernel counting: weight x own counts + those of the six face neighbours. 0 = own counts alone."""
-    if weight == 0 or not len(keys):
-        return row, instance, count
-    index = voxel_index(keys).astype(np.int64)
-    parts = [(row, instance, count * weight)]
-    for face in FACES:
-        neighbour = _rows_of(keys, voxel_key(index + np.array(face)))[row]
-        hit = neighbour >= 0
-        parts.append((neighbour[hit], instance[hit], count[hit]))
-    return _sum_by_instance(*(np.concatenate([part[i] for part in parts]) for i in range(3)))
+def _shown(keys: Longs, row: Ints, instance: Ints, count: Longs, weight: int) -> Longs:
+    """The instance that each voxel shows by kernel counting: weight x own counts + those of the six face neighbours.
+
+    weight 0 = own counts alone. Votes by voxel. Some voxels at a time: seven times all votes would take much memory."""
+    offset = np.searchsorted(row, np.arange(len(keys) + 1))
+    shown = np.zeros(len(keys), np.int64)
+    for begin in range(0, len(keys), CHUNK):
+        end = min(begin + CHUNK, len(keys))
+        index = voxel_index(keys[begin:end]).astype(np.int64)
+        parts = [(np.arange(begin, end), max(1, weight))]
+        if weight:
+            parts += [(_rows_of(keys, voxel_key(index + np.array(face))), 1) for face in FACES]
+        counted = [_votes_of(rows, offset, instance, count, factor) for rows, factor in parts]
+        votes = _sum_by_instance(*(np.concatenate([part[i] for part in counted]) for i in range(3)))
+        shown[begin:end] = _strongest(*votes, end - begin)
+    return shown
+
+
+def _votes_of(rows: Longs, offset: Longs, instance: Ints, count: Longs, factor: int) -> tuple[Ints, Ints, Longs]:
+    """The votes of the voxels `rows` (-1 = none) times a factor: place in rows, instance, count."""
+    known = np.maximum(rows, 0)
+    lengths = np.where(rows >= 0, offset[known + 1] - offset[known], 0)
+    place = np.repeat(np.arange(len(rows)), lengths)
+    vote = np.arange(len(place)) + np.repeat(offset[known] - (np.cumsum(lengths) - lengths), lengths)
+    return place.astype(np.int32), instance[vote], count[vote] * factor
 
 
 def _rows_of(keys: Longs, wanted: Longs) -> Longs:
@@ -134,9 +152,9 @@ def _rows_of(keys: Longs, wanted: Longs) -> Longs:
     return np.where(keys[where] == wanted, where, -1)
 
 
-def _strongest(row: Longs, instance: Longs, count: Longs, voxels: int) -> Longs:
+def _strongest(row: Ints, instance: Ints, count: Longs, voxels: int) -> Longs:
     """The instance with most votes in each voxel if it beats background strictly, the lowest id on a tie; else 0."""
-    rank = (count << 32) | (0xFFFFFFFF - instance)
+    rank = (count << 32) | (0xFFFFFFFF - instance.astype(np.int64))
     best, background = np.zeros(voxels, np.int64), np.zeros(voxels, np.int64)
     ids = instance > 0
     np.maximum.at(best, row[ids], rank[ids])
@@ -144,7 +162,7 @@ def _strongest(row: Longs, instance: Longs, count: Longs, voxels: int) -> Longs:
     return np.where(best >> 32 > background, 0xFFFFFFFF - (best & 0xFFFFFFFF), 0)
 
 
-def _share(row: Longs, instance: Longs, count: Longs, shown: Longs, total: Longs) -> Longs:
+def _share(row: Ints, instance: Ints, count: Longs, shown: Longs, total: Longs) -> Longs:
     """Votes of the shown instance over all votes of each voxel in Q20 (background's where none is shown)."""
     own = np.zeros(len(shown), np.int64)
     mine = instance == shown[row]
@@ -187,25 +205,26 @@ def _without(shown: Longs, gone: list[int]) -> Longs:
 def _parts(shown: Longs, keys: Longs) -> Longs:
     """The 26-connected part of each voxel, named by its lowest row; rows of equal instance alone are joined."""
     part = np.arange(len(keys))
-    if not len(keys):
-        return part
-    index = voxel_index(keys).astype(np.int64)
-    edges = []
-    for step in HALF_NEIGHBOURS:
+    rows = np.flatnonzero(shown > 0)
+    index = voxel_index(keys[rows]).astype(np.int64)
+    for step in HALF_NEIGHBOURS if len(rows) else ():
         other = _rows_of(keys, voxel_key(index + np.array(step)))
-        here = np.flatnonzero((other >= 0) & (shown > 0))
-        here = here[shown[here] == shown[other[here]]]
-        edges.append(np.stack([here, other[here]]))
-    a, b = np.concatenate(edges, 1)
+        same = (other >= 0) & (shown[rows] == shown[other])
+        part = _joined(part, rows[same], other[same])
+    return part
+
+
+def _joined(part: Longs, a: Longs, b: Longs) -> Longs:
+    """The parts, where those of rows a[i] and b[i] become one. part: the lowest row of each row's part, here as there."""
     while True:
-        before = part.copy()
-        low = np.minimum(part[a], part[b])
-        np.minimum.at(part, part[a], low)
-        np.minimum.at(part, part[b], low)
-        while not np.array_equal(part, part[part]):
-            part = part[part]
-        if np.array_equal(before, part):
+        a, b = part[a], part[b]
+        apart = a != b
+        if not apart.any():
             return part
+        a, b = a[apart], b[apart]
+        np.minimum.at(part, np.maximum(a, b), np.minimum(a, b))
+        while not np.array_equal(part, lower := part[part]):
+            part = lower
 
 
 def _mean_theta(shown: Longs, share: Longs) -> tuple[dict[int, int], dict[int, int]]:

@@ -113,7 +113,7 @@ class Mapper:
         )
         kept = {
             "key": votes[0],
-            **state.fragment_arrays(self._fragments, self._looked, self._dimensions or 0),
+            **state.fragment_arrays(self._fragments, self._dimensions or 0),
             **state.evidence_arrays(self._evidence),
             **state.life_arrays(self._life, self._looked, self._dimensions),
         }
@@ -295,13 +295,12 @@ class Mapper:
         """Which fragments were in view."""
         for f, voxels in zip(look.fragments.tolist(), look.overlap.sum(0).tolist(), strict=True):
             if voxels >= MIN_SEEN:
-                self._fragments[f].seen |= 1 << self._looked
+                self._fragments[f].seen.add(self._looked)
 
     def _learn(
         self, frame: Frame, masks: Sequence[Mask], features: Features, associations: Sequence[Association]
     ) -> None:
         """What the masks add to the fragments' memories: features, captions, scores, when they were matched."""
-        bit = 1 << self._looked
         for one in associations:
             if not one.main:
                 continue
@@ -312,7 +311,7 @@ class Mapper:
             fragment.score += round(mask.score * 4096)
             fragment.observations += 1
             for f in sorted(one.held):
-                self._fragments[f].matched |= bit
+                self._fragments[f].matched.add(self._looked)
                 self._fragments[f].last_frame = frame.index
 
     def _cluster(self, associations: Sequence[Association], pieces: Sequence[int]) -> list[int]:

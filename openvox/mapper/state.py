@@ -6,7 +6,7 @@ Voxels and votes are in the map already; here is the rest. Names are those of `I
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from openvox.core.errors import InputError
 from openvox.mapper.codebook import Fragment
 from openvox.mapper.evidence import Evidence
+from openvox.mapper.frameset import BITS, FrameSet
 from openvox.mapper.life import Life
 
 Arrays = Mapping[str, NDArray[Any]]
-VERSION = 1
+VERSION = 2
 
 
-def fragment_arrays(fragments: Mapping[int, Fragment], looked: int, dimensions: int) -> dict[str, NDArray[Any]]:
-    """Fragments by id from 1: numbers, codebook sums, frames as bits, captions as JSON."""
+def fragment_arrays(fragments: Mapping[int, Fragment], dimensions: int) -> dict[str, NDArray[Any]]:
+    """Fragments by id from 1: numbers, codebook sums, sets of frames, captions as JSON."""
     parts = [fragments[f] for f in sorted(fragments)]
-    size = (looked + 7) // 8
     numbers = [
         (part.first_frame, part.last_frame, part.weight, part.score, part.observations, part.voxels) for part in parts
     ]
@@ -32,8 +32,8 @@ def fragment_arrays(fragments: Mapping[int, Fragment], looked: int, dimensions: 
     return {
         "fragment": np.array(numbers, np.int64).reshape(len(parts), 6),
         "total": np.array([part.total for part in parts], np.int64).reshape(len(parts), dimensions),
-        "matched": _bits([part.matched for part in parts], size),
-        "seen": _bits([part.seen for part in parts], size),
+        **_frame_arrays("matched", [part.matched for part in parts]),
+        **_frame_arrays("seen", [part.seen for part in parts]),
         "captions": np.frombuffer(captions.encode(), np.uint8),
     }
 
@@ -41,13 +41,12 @@ def fragment_arrays(fragments: Mapping[int, Fragment], looked: int, dimensions: 
 def restored_fragments(state: Arrays) -> dict[int, Fragment]:
     """The fragments of `fragment_arrays`. Raises KeyError or ValueError on foreign arrays."""
     captions = json.loads(state["captions"].tobytes())
-    matched, seen = state["matched"], state["seen"]
+    matched, seen = (_restored_frames(name, state, len(captions)) for name in ("matched", "seen"))
     fragments = {}
     for i, (first, last, weight, score, observations, voxels) in enumerate(state["fragment"].tolist()):
         part = Fragment(i + 1, first, last, state["total"][i].astype(np.int64))
         part.weight, part.score, part.observations, part.voxels = weight, score, observations, voxels
-        part.matched = int.from_bytes(matched[i].tobytes(), "little")
-        part.seen = int.from_bytes(seen[i].tobytes(), "little")
+        part.matched, part.seen = matched[i], seen[i]
         part.captions = {str(text): int(support) for text, support in captions[i]}
         part.refresh()
         fragments[part.id] = part
@@ -93,6 +92,18 @@ def restore_life(life: Life, state: Arrays) -> tuple[int, int | None]:
     return looked, None if dimensions < 0 else dimensions
 
 
-def _bits(values: list[int], size: int) -> NDArray[np.uint8]:
-    rows = b"".join(value.to_bytes(size, "little") for value in values)
-    return np.frombuffer(rows, np.uint8).reshape(len(values), size)
+def _frame_arrays(name: str, sets: Sequence[FrameSet]) -> dict[str, NDArray[Any]]:
+    """Sets of frames as blocks: rows (number of the set, block), ascending, and the bits of each."""
+    blocks = [(i, block, bits) for i, one in enumerate(sets) for block, bits in sorted(one.blocks.items())]
+    packed = b"".join(bits.to_bytes(BITS // 8, "little") for _, _, bits in blocks)
+    return {
+        f"{name}_block": np.array([row[:2] for row in blocks], np.int64).reshape(len(blocks), 2),
+        f"{name}_bits": np.frombuffer(packed, np.uint8).reshape(len(blocks), BITS // 8),
+    }
+
+
+def _restored_frames(name: str, state: Arrays, sets: int) -> list[FrameSet]:
+    out = [FrameSet() for _ in range(sets)]
+    for (i, block), bits in zip(state[f"{name}_block"].tolist(), state[f"{name}_bits"], strict=True):
+        out[i].blocks[block] = int.from_bytes(bits.tobytes(), "little")
+    return out
