@@ -1,7 +1,7 @@
 """What the mapper remembers of each fragment beside its voxels: the codebook, captions, and when it was seen.
 
 A fragment is a piece that nothing has contradicted yet; an instance is one or more fragments. In preset paper they are
-the same. Frames are kept as sets, so that "frames in which any of these was matched" is exact for every set of fragments.
+the same. Frames are kept as sets, so that "frames in which any of these was matched" is exact for any fragments.
 """
 
 from __future__ import annotations

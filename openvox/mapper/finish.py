@@ -215,7 +215,7 @@ def _parts(shown: Longs, keys: Longs) -> Longs:
 
 
 def _joined(part: Longs, a: Longs, b: Longs) -> Longs:
-    """The parts, where those of rows a[i] and b[i] become one. part: the lowest row of each row's part, here as there."""
+    """The parts where those of rows a[i] and b[i] are one; a part is named by its lowest row, before and after."""
     while True:
         a, b = part[a], part[b]
         apart = a != b
