@@ -16,7 +16,8 @@ from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
 from openvox.perception.claims import claims
 from openvox.perception.namer import GREY, SIDE, Namer, square
-from openvox.perception.nanodet import Letterbox, NanoDet, letterboxed, suppressed
+from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
+from openvox.perception.nanodet import NanoDet
 from openvox.perception.offline import Offline, colors_of
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
@@ -58,23 +59,23 @@ def best(parts: Parts, truth: np.ndarray) -> tuple[float, int]:
 def test_a_point_of_the_picture_is_found_again_after_the_letterbox(width, height):
     rgb = np.zeros((height, width, 3), np.uint8)
     rgb[height // 2 :, width // 2 :] = 255
-    square_, place = letterboxed(rgb, 416)
+    square_, place = letterboxed(rgb, 416, 416)
     assert square_.shape == (1, 3, 416, 416)
     row = np.flatnonzero(square_[0, 0, :, 415 - place.left] > 0.5)[0]
     column = np.flatnonzero(square_[0, 0, 415 - place.top, :] > 0.5)[0]
     ((x, y, _, _),) = place.undone(np.array([[column, row, 416, 416]], np.float32), width, height)
-    assert abs(x - width // 2) <= 1 / place.scale
-    assert abs(y - height // 2) <= 1 / place.scale
+    assert abs(x - width // 2) <= 1 / place.scale_x
+    assert abs(y - height // 2) <= 1 / place.scale_y
 
 
 def test_the_letterbox_is_undone_by_moving_first_and_scaling_then_and_boxes_end_at_the_rim():
-    place = Letterbox(scale=0.65, left=0, top=52)
+    place = Letterbox(scale_x=0.65, scale_y=0.65, left=0, top=52)
     found = place.undone(np.array([[65.0, 117.0, 130.0, 182.0], [-9.0, 0.0, 500.0, 416.0]], np.float32), 640, 480)
     np.testing.assert_allclose(found, [[100, 100, 200, 200], [0, 0, 640, 480]], rtol=1e-6)
 
 
 def test_red_comes_first_and_one_is_the_brightest():
-    picture, place = letterboxed(np.full((10, 20, 3), (255, 51, 0), np.uint8), 40)
+    picture, place = letterboxed(np.full((10, 20, 3), (255, 51, 0), np.uint8), 40, 40)
     np.testing.assert_allclose(picture[0, :, 20, 20], (1, 0.2, 0), atol=1e-6)
     assert (picture[0, :, : place.top] == 0).all()
 

@@ -160,37 +160,17 @@ def _check_target(target: Path, *inputs: Path | None) -> None:
 
 
 def _pipeline(
-    info: RecordingInfo, parameters: PerceptionParameters, file: DetectionFile | None, chosen: str
+    info: RecordingInfo, parameters: PerceptionParameters, file: DetectionFile | None, chosen: Chosen
 ) -> Pipeline:
     """The stages of a front end, each module imported when it is used."""
+    if file is None:
+        return pipeline_of(chosen, info, parameters)
     from openvox.perception.captions import CaptionEncoder
     from openvox.perception.encoder import encoder
+    from openvox.perception.given import GivenBoxes, GivenEmbeddings, GivenMasks
 
-    if file is not None:
-        from openvox.perception.given import GivenBoxes, GivenEmbeddings, GivenMasks
-
-        enc = GivenEmbeddings(file) if file.encoder else CaptionEncoder(encoder(ENCODER))
-        return Pipeline(GivenBoxes(file), GivenMasks(file), enc)
-    captions = CaptionEncoder(encoder(ENCODER))
-    if chosen == "oracle":
-        from openvox.perception.oracle import OracleBoxes, OracleMasks
-
-        if not info.has_truth:
-            raise InputError(
-                f"{info.path} has no ground truth, which --frontend oracle takes its masks from; "
-                "use --frontend offline or --detections FILE"
-            )
-        oracle = parameters.oracle
-        return Pipeline(OracleBoxes(oracle, info.categories), OracleMasks(oracle, info.categories), captions)
-    from openvox.perception.geometry import Geometry, NoBoxes, room_of
-
-    room = room_of(info, parameters.geometry)
-    if chosen == "geometry":
-        return Pipeline(NoBoxes(), Geometry(parameters.geometry, room), captions)
-    from openvox.perception.nanodet import NanoDet
-    from openvox.perception.offline import Offline
-
-    return Pipeline(NanoDet(parameters.offline), Offline(parameters.geometry, parameters.offline, room), captions)
+    enc = GivenEmbeddings(file) if file.encoder else CaptionEncoder(encoder(ENCODER))
+    return Pipeline(GivenBoxes(file), GivenMasks(file), enc)
 
 
 def _earlier(target: Path, left: Path | None, notes: list[str]) -> list[Iterator[FrameMasks]]:

@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.parameters import Value
 from openvox.core.types import Frame, Mask
-from openvox.perception.encoder import TextEncoder
 from openvox.perception.stage import stage_digest
 
 VERSION = 1
 
 
-class CaptionEncoder:
-    """A sentence encoder as a stage."""
+class Texts(Protocol):
+    """A sentence encoder."""
 
-    def __init__(self, encoder: TextEncoder) -> None:
+    name: str
+    dimensions: int
+    model_digest: str
+
+    def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
+        """(n, dimensions), rows of unit length."""
+        ...
+
+
+class CaptionEncoder:
+    """A sentence encoder as a stage. parameters: what else its vectors depend on."""
+
+    def __init__(self, encoder: Texts, parameters: Mapping[str, Value] | None = None) -> None:
         self._encoder = encoder
         self.name = encoder.name
         self.dimensions = encoder.dimensions
         self.model_digest = encoder.model_digest
-        self.parameters: Mapping[str, Value] = {}
+        self.device: str = getattr(encoder, "device", "CPU")
+        self.parameters: Mapping[str, Value] = parameters or {}
         self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest)
 
     def digest(self, frame: Frame) -> str:

@@ -19,9 +19,9 @@ from openvox.core.types import Frame, Mask, MaskKind
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
 from openvox.perception.claims import Thing, claims
+from openvox.perception.det.boxes import box_iou
 from openvox.perception.geometry import SCORE
 from openvox.perception.namer import Namer
-from openvox.perception.nanodet import box_iou
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Room

@@ -1,0 +1,1 @@
+"""Det from model files of the user's: a file a family, a row of `perception/stages.py` each."""

@@ -1,0 +1,114 @@
+"""The outputs that exporters of YOLO detectors write, told apart by names and shapes, as boxes, scores and classes.
+
+| outputs | who writes them |
+|---|---|
+| `boxes` [1,n,4], `scores` [1,n,c] | YOLO-World's own export without NMS, YOLO-NAS, the NanoDet here |
+| `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], perhaps `num_dets` [1,1] | YOLO-World's own export with NMS |
+| one, [1,4+c,n], centres and sizes | Ultralytics: YOLOv8 and later, YOLOv8-World, YOLOE |
+| one, [1,n,6], corners, score, class | the same with `nms=True` |
+| one, [1,n,5+c], centres, sizes, objectness | YOLOv5, YOLOv7 |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.core.errors import InputError
+from openvox.perception.onnx import Model
+
+EXPECTED = (
+    "the input images float[1,3,h,w] and, for c words, boxes [1,n,4] with scores [1,n,c]; or boxes, scores [1,n] and "
+    "labels [1,n]; or one output [1,4+c,n], [1,n,6] or [1,n,5+c]"
+)
+GREY = 114
+Floats = NDArray[np.float32]
+Found = tuple[Floats, Floats, NDArray[np.int64], bool]
+"""(n, 4) corners in the model's picture, (n,) scores, (n,) classes, and whether overlapping ones were taken out."""
+
+
+def padding(outputs: Sequence[str]) -> int:
+    """Level of grey around the picture, as the exporter trained with: those that name boxes pad with black."""
+    return 0 if "boxes" in outputs else GREY
+
+
+def decoded(model: Model, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int], words: int) -> Found:
+    """What the model found. size: (height, width) of its picture. Raises InputError, naming what does not fit."""
+    if {"boxes", "scores"} <= outputs.keys():
+        found = _named(model, outputs, words)
+    elif len(outputs) == 1 and next(iter(outputs.values())).ndim == 3:
+        found = _single(model, next(iter(outputs.values())), size, words)
+    else:
+        raise model.refused(EXPECTED)
+    corners, scores = found[0], found[1]
+    if not (np.isfinite(corners).all() and np.isfinite(scores).all()):
+        raise InputError(f"{model.file}: boxes or scores are not finite numbers; export it again")
+    if len(scores) and not (scores.min() >= -1e-3 and scores.max() <= 1 + 1e-3):
+        raise InputError(
+            f"{model.file}: scores from {scores.min():.3g} to {scores.max():.3g}; expected 0 to 1: export with the "
+            "sigmoid inside"
+        )
+    return corners, scores.clip(0, 1), found[2], found[3]
+
+
+def _named(model: Model, outputs: Mapping[str, NDArray[Any]], words: int) -> Found:
+    boxes, scores = (np.asarray(outputs[name][0], np.float32) for name in ("boxes", "scores"))
+    if boxes.ndim != 2 or boxes.shape[1:] != (4,) or len(scores) != len(boxes):
+        raise model.refused(EXPECTED)
+    if "labels" in outputs:
+        count = int(outputs["num_dets"].reshape(-1)[0]) if "num_dets" in outputs else len(boxes)
+        labels = np.asarray(outputs["labels"][0], np.int64)[:count]
+        if scores.ndim != 1 or labels.shape != scores[:count].shape:
+            raise model.refused(EXPECTED)
+        return boxes[:count], scores[:count], _known(model, labels, words), True
+    if scores.ndim != 2:
+        raise model.refused(EXPECTED)
+    if (boxes[:, 2:] < boxes[:, :2]).any(1).mean() > 0.1:
+        raise InputError(f"{model.file}: boxes are distances, not corners; export with the box decoder inside")
+    return boxes, *_best(model, scores, words), False
+
+
+def _single(model: Model, output: NDArray[Any], size: tuple[int, int], words: int) -> Found:
+    rows = np.asarray(output[0], np.float32)
+    cells = sum((size[0] // step) * (size[1] // step) for step in (8, 16, 32))
+    objectness = rows.shape[1] == 5 + words
+    if rows.shape[1] == 6 and not (objectness and len(rows) == 3 * cells):
+        return rows[:, :4], rows[:, 4], _known(model, rows[:, 5].astype(np.int64), words), True
+    if len(rows) == 4 + words:
+        return _corners(rows[:4].T), *_best(model, rows[4:].T, words), False
+    if objectness and len(rows) != cells:
+        return _corners(rows[:, :4]), *_best(model, rows[:, 5:] * rows[:, 4:5], words), False
+    raise model.refused(
+        f"{EXPECTED}; the output came out as [1,{rows.shape[0]},{rows.shape[1]}], there are {words} words"
+        + (", and a row a cell (YOLOX) is not decoded here" if objectness else "")
+    )
+
+
+def _corners(boxes: Floats) -> Floats:
+    """x, y of the centre, width and height as x0, y0, x1, y1."""
+    half = boxes[:, 2:] / 2
+    return np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], 1)
+
+
+def _best(model: Model, scores: Floats, words: int) -> tuple[Floats, NDArray[np.int64]]:
+    """The best class of each of (n, c) rows; a class more than words is padding of the export, and no word."""
+    classes = scores.shape[1]
+    if classes not in (words, words + 1):
+        raise model.refused(f"{words} classes, as there are words, not {classes}; give the words it was exported with")
+    if not len(scores):
+        return np.zeros(0, np.float32), np.zeros(0, np.int64)
+    kinds = scores[:, :words].argmax(1)
+    return scores[np.arange(len(scores)), kinds], kinds
+
+
+def _known(model: Model, labels: NDArray[np.int64], words: int) -> NDArray[np.int64]:
+    """Class numbers for which there are words, or the one of the padding."""
+    if len(labels) and not (labels.min() >= 0 and labels.max() <= words):
+        raise InputError(
+            f"{model.file}: class {labels.max() if labels.min() >= 0 else labels.min()} of {words} words; give the "
+            "words it was exported with"
+        )
+    return labels

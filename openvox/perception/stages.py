@@ -1,0 +1,160 @@
+"""The stages there are, one row each, and which of them a front end or a TOML file of the user's puts together.
+
+A row says where a stage is made: called with its options (the `Options` of what makes it, a group of parameters filled
+from the TOML file) and a `Setting`, it returns a stage as `stage.py` describes them. docs/stages.md walks through one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from openvox.core.errors import InputError
+from openvox.core.parameters import Value, from_toml, updated
+from openvox.formats.recording import RecordingInfo
+from openvox.perception.parameters import PerceptionParameters
+from openvox.perception.pipeline import Pipeline
+
+
+class Row(NamedTuple):
+    """Where a stage is made, module:name, and the groups of --set that it takes numbers from."""
+
+    where: str
+    groups: tuple[str, ...] = ()
+
+
+STAGES: Mapping[str, dict[str, Row]] = {
+    "det": {
+        "yolo-world": Row("openvox.perception.det.yolo:Yolo"),
+        "yolo": Row("openvox.perception.det.yolo:Yolo"),
+        "nanodet": Row("openvox.perception.shipped:nanodet", ("offline",)),
+        "truth": Row("openvox.perception.shipped:truth_boxes", ("oracle",)),
+        "none": Row("openvox.perception.shipped:no_boxes"),
+    },
+    "segcap": {
+        "sam": Row("openvox.perception.segcap.sam:Sam"),
+        "tap": Row("openvox.perception.segcap.tap:Tap"),
+        "offline": Row("openvox.perception.shipped:offline", ("geometry", "offline")),
+        "geometry": Row("openvox.perception.shipped:geometry", ("geometry",)),
+        "truth": Row("openvox.perception.shipped:truth_masks", ("oracle",)),
+    },
+    "enc": {
+        "minilm": Row("openvox.perception.shipped:minilm"),
+        "sentence-transformers": Row("openvox.perception.enc.sentences:SentenceTransformers"),
+    },
+}
+FRONTENDS: Mapping[str, Mapping[str, str]] = {
+    "offline": {"det": "nanodet", "segcap": "offline", "enc": "minilm"},
+    "geometry": {"det": "none", "segcap": "geometry", "enc": "minilm"},
+    "oracle": {"det": "truth", "segcap": "truth", "enc": "minilm"},
+}
+"""Stage of each role; a TOML file that leaves a role out gets that of `offline`."""
+LARGEST_TOML = 1 << 20
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """The stage of each role, and what a TOML file says of it. asked_by: what to call it in errors."""
+
+    names: Mapping[str, str]
+    options: Mapping[str, Mapping[str, Value]]
+    asked_by: str
+    folder: Path
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """The groups of --set that have an effect."""
+        return tuple(dict.fromkeys(group for role, name in self.names.items() for group in STAGES[role][name].groups))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a stage may ask about when it is made."""
+
+    recording: RecordingInfo
+    parameters: PerceptionParameters
+    asked_by: str
+    root: Path
+    """Where paths of the TOML file count from: its own folder."""
+
+    def file(self, option: str, value: str) -> Path:
+        """The path that an option names; it must be a file. Raises InputError."""
+        path = self._path(option, value, "a file")
+        if not path.is_file():
+            raise InputError(f"{self.asked_by}: {option} is {value!r}, and {path} is no file; paths count from its folder")
+        return path
+
+    def folder(self, option: str, value: str) -> Path:
+        """The same for a folder."""
+        path = self._path(option, value, "a folder")
+        if not path.is_dir():
+            raise InputError(
+                f"{self.asked_by}: {option} is {value!r}, and {path} is no folder; paths count from its own"
+            )
+        return path
+
+    def _path(self, option: str, value: str, what: str) -> Path:
+        if not value:
+            raise InputError(f"{self.asked_by}: {option} is missing; expected the path of {what}")
+        return self.root / Path(value).expanduser()
+
+
+def of_frontend(name: str) -> Chosen:
+    """The stages of a front end that comes with openvox."""
+    return Chosen(FRONTENDS[name], {}, f"--frontend {name}", Path())
+
+
+def read_models(path: Path) -> Chosen:
+    """The stages of a TOML file: tables [det], [segcap], [enc], each with `stage` and its options. Raises InputError."""
+    if not path.is_file() or path.stat().st_size > LARGEST_TOML:
+        raise InputError(f"{path}: no small text file; --models wants a TOML file with tables {_roles()}")
+    names = dict(FRONTENDS["offline"])
+    options: dict[str, dict[str, Value]] = {role: {} for role in STAGES}
+    for name, value in from_toml(path).items():
+        role, _, key = name.partition(".")
+        if role not in STAGES:
+            raise InputError(f"{path}: there is no stage [{role}]; expected {_roles()}")
+        if key == "stage":
+            names[role] = _known(str(value), STAGES[role], f"{path}: [{role}] stage")
+        else:
+            options[role][key] = value
+    return Chosen(names, options, str(path), path.parent)
+
+
+def pipeline_of(chosen: Chosen, recording: RecordingInfo, parameters: PerceptionParameters) -> Pipeline:
+    """Det, SegCap and Enc, each module imported now that it is used. Raises InputError, also for unfit models."""
+    setting = Setting(recording, parameters, chosen.asked_by, chosen.folder)
+    det, segcap, enc = (_made(role, chosen, setting) for role in STAGES)
+    return Pipeline(det, segcap, enc)
+
+
+def _made(role: str, chosen: Chosen, setting: Setting) -> Any:
+    module, _, name = STAGES[role][chosen.names[role]].where.partition(":")
+    make = getattr(importlib.import_module(module), name)
+    kind, given = getattr(make, "Options", None), chosen.options.get(role, {})
+    where = f"{chosen.asked_by}: [{role}] {chosen.names[role]}"
+    for key in given:
+        _known(key, [field.name for field in dataclasses.fields(kind)] if kind else [], f"{where}: an option")
+    if kind is None:
+        return make(None, setting)
+    # `updated` checks a set of groups: here one group, named as the table of the file.
+    group = dataclasses.make_dataclass("Group", [(role, kind, dataclasses.field(default_factory=kind))], frozen=True)
+    filled = updated(group(), {f"{role}.{key}": value for key, value in given.items()}, source=chosen.asked_by)
+    return make(getattr(filled, role), setting)
+
+
+def _known(name: str, names: Any, where: str) -> str:
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(f"{where} is {name!r}; expected {', '.join(names) or 'none'}{hint}")
+    return name
+
+
+def _roles() -> str:
+    return ", ".join(f"[{role}]" for role in STAGES)
