@@ -15,8 +15,8 @@ from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
 from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
 from openvox.perception.claims import claims
-from openvox.perception.namer import GREY, SIDE, Namer, square
 from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
+from openvox.perception.namer import GREY, SIDE, Namer, square
 from openvox.perception.nanodet import NanoDet
 from openvox.perception.offline import Offline, colors_of
 from openvox.perception.parameters import GeometryParameters, OfflineParameters

@@ -18,7 +18,7 @@ from openvox.core.errors import InputError, OutputError
 from openvox.core.types import Frame, Intrinsics, Mask, Pose
 from openvox.formats.detections import Box
 from openvox.formats.masks import encode_rle
-from openvox.formats.perception import FrameMasks, perception_info, read_masks
+from openvox.formats.perception import FrameMasks, PerceptionWriter, perception_info, read_masks
 from openvox.formats.recording import RecordingWriter, recording_info
 from openvox.perception.encoder import encoder
 from openvox.perception.geometry import Geometry
@@ -203,15 +203,55 @@ def count_calls(monkeypatch: pytest.MonkeyPatch, kind: Any) -> list[int]:
     return calls
 
 
-def test_a_second_run_takes_everything_from_the_first(large, monkeypatch):
+def test_a_second_run_does_nothing_and_says_so(large, monkeypatch):
     first = perceive(large, frontend="geometry")
-    data = first.output.read_bytes()
+    data, changed = first.output.read_bytes(), first.output.stat().st_mtime_ns
     calls = count_calls(monkeypatch, Geometry)
+    monkeypatch.setattr(PerceptionWriter, "add", lambda *_: pytest.fail("nothing is to be written"))
     second = perceive(large, frontend="geometry")
     assert calls == []
-    assert (second.reused, second.digest) == (4, first.digest)
-    assert second.output.read_bytes() == data
-    assert second.notes == ("an older large.perception.mcap was replaced",)
+    assert (second.reused, second.frames, second.masks, second.digest) == (4, 4, first.masks, first.digest)
+    assert (second.output.read_bytes(), second.output.stat().st_mtime_ns) == (data, changed)
+    assert second.notes == ("large.perception.mcap holds all of that already; nothing was done",)
+
+
+def test_fewer_frames_of_a_complete_file_are_there_already_and_the_others_stay(large):
+    first = perceive(large, frontend="geometry")
+    data = first.output.read_bytes()
+    for fewer in ({"end": 2}, {"start": 1}, {"stride": 2}):
+        again = perceive(large, frontend="geometry", **fewer)
+        assert again.output.read_bytes() == data
+        assert again.notes == ("large.perception.mcap holds all of that already; nothing was done",)
+
+
+def test_frames_that_are_not_asked_for_stay_beside_new_ones(large, monkeypatch):
+    perceive(large, frontend="geometry", start=2)
+    calls = count_calls(monkeypatch, Geometry)
+    second = perceive(large, frontend="geometry", end=1)
+    assert calls == [0]
+    assert [found.index for found in read_masks(second.output)] == [0, 2, 3]
+    assert (second.frames, second.reused) == (3, 2)
+    assert second.notes[-1] == "2 frames that were not asked for stay in large.perception.mcap as they were"
+    whole = perceive(large, frontend="geometry", out=large.with_name("whole.mcap"))
+    assert perceive(large, frontend="geometry").digest == whole.digest
+
+
+def test_frames_that_are_not_asked_for_and_were_made_in_another_way_are_not_lost(large):
+    first = perceive(large, frontend="geometry")
+    data = first.output.read_bytes()
+    with pytest.raises(InputError, match=r"large.perception.mcap holds 2 frames that are not asked for and were made"):
+        perceive(large, frontend="geometry", end=2, assignments=["geometry.far=4"])
+    record(large, tiny_frames(5, camera=LARGE)[1:])
+    with pytest.raises(InputError, match=r"holds 4 frames that are not asked for .* or another recording"):
+        perceive(large, frontend="geometry", start=4)
+    assert first.output.read_bytes() == data
+    assert sorted(entry.name for entry in large.parent.iterdir()) == ["large.mcap", "large.perception.mcap"]
+
+
+def test_a_frame_that_the_detections_no_longer_speak_of_goes(tmp_path, tiny):
+    perceive(tiny, detections=given(tmp_path, {0: [detected(1, 4)], 2: []}))
+    result = perceive(tiny, detections=given(tmp_path, {0: [detected(1, 4)]}))
+    assert [found.index for found in read_masks(result.output)] == [0]
 
 
 def test_more_frames_cost_only_what_is_new(large, monkeypatch):
@@ -490,8 +530,6 @@ def test_a_place_that_cannot_be_written_is_a_sentence(tiny):
 
 
 def test_after_an_interrupt_the_next_run_goes_on_from_what_was_done(tiny, monkeypatch):
-    from openvox.formats.perception import PerceptionWriter
-
     add = PerceptionWriter.add
 
     def until_the_third(self, found):

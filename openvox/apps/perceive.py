@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,23 +12,26 @@ from typing import Literal
 
 from openvox.core.errors import InputError
 from openvox.core.parameters import from_assignments, updated
+from openvox.core.types import Frame
 from openvox.formats.detections import DetectionFile
 from openvox.formats.perception import (
     SUFFIX,
     FrameMasks,
     PerceptionWriter,
     interrupted,
+    perception_info,
     read_masks,
     read_unfinished,
 )
-from openvox.formats.recording import RecordingInfo, read_frames, recording_info, selected
+from openvox.formats.recording import RecordingInfo, read_frames, recording_info
+from openvox.perception.held import Selection, held
 from openvox.perception.parameters import PerceptionParameters
 from openvox.perception.pipeline import Pipeline, perceive_frames
+from openvox.perception.stages import Chosen, of_frontend, pipeline_of, read_models
 
-Frontend = Literal["offline", "geometry", "oracle"]
-GROUPS = {"offline": ("geometry", "offline"), "geometry": ("geometry",), "oracle": ("oracle",), "detections": ()}
-"""The groups of parameters that each front end uses."""
+Frontend = Literal["offline", "geometry", "oracle", "models"]
 ENCODER = "minilm"
+GIVEN = Chosen("detections", {}, {}, "--detections", Path())
 NAMED_NUMBERS = 5
 """So many of the frame numbers that a recording lacks are named."""
 
@@ -49,6 +52,8 @@ class PerceiveResult:
     skipped: int
     """Frame numbers of the detections that the recording lacks."""
     encoder: str
+    device: str
+    """What the models ran on, in a few words."""
     digest: str
     seconds: float
     frames_per_second: float
@@ -60,6 +65,7 @@ def perceive(
     recording: Path,
     *,
     frontend: Frontend | None = None,
+    models: Path | None = None,
     detections: Path | None = None,
     out: Path | None = None,
     assignments: Sequence[str] = (),
@@ -71,84 +77,142 @@ def perceive(
 ) -> PerceiveResult:
     """Runs Det, SegCap and Enc over a recording's frames; `out` appears complete or not at all.
 
-    frontend: offline (the default), geometry or oracle; or detections, a file of the user's own front end. assignments:
-    `group.name=value` texts. start, end (exclusive), stride: frame numbers. jobs: threads, by default one a core; the
-    result is the same. What an older file of that name, or an interrupted run, holds of the same stages is not done
-    again.
+    frontend: offline (the default), geometry or oracle; models, a TOML file that chooses the stages (see
+    perception/stages.py); or detections, a file of the user's own front end. assignments: `group.name=value` texts.
+    start, end (exclusive), stride: frame numbers. jobs: threads, by default one a core; the result is the same. What an
+    older file of that name, or an interrupted run, holds of the same stages is not done again, and frames that are not
+    asked for stay in it.
     Raises InputError, OutputError."""
     began = time.perf_counter()
-    chosen = _chosen(frontend, detections)
+    chosen = _chosen(frontend, models, detections)
     parameters = _parameters(chosen, assignments)
     info = recording_info(recording)
     target = out or recording.with_name(recording.stem + SUFFIX)
-    _check_target(target, recording, detections)
+    _check_target(target, recording, detections, models)
     jobs = len(os.sched_getaffinity(0)) if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
+    selection = Selection(start, end, stride)
     notes: list[str] = []
+    reused, lacking = 0, list[int]()
     with ExitStack() as stack:
         file = stack.enter_context(DetectionFile(detections)) if detections else None
         pipeline = _pipeline(info, parameters, file, chosen)
-        left = interrupted(target)
-        frames = stack.enter_context(closing(read_frames(recording, start=start, end=end, stride=stride)))
-        earlier = _earlier(target, left, notes)
-        results = stack.enter_context(closing(perceive_frames(pipeline, frames, earlier, jobs)))
-        writer = stack.enter_context(
-            PerceptionWriter(
-                target,
-                info,
-                stages=pipeline.described(),
-                encoder=pipeline.enc.name,
-                dimensions=pipeline.enc.dimensions,
-            )
-        )
-        lacking = {number for number in file.frames if selected(number, start, end, stride)} if file else set[int]()
-        reused, total = 0, _total(info, start, end, stride)
-        for done, (frame, found) in enumerate(results, 1):
-            lacking.discard(frame.index)
-            if found is not None:
-                writer.add(found[0])
-                reused += found[1]
-            if progress is not None:
-                progress(done, max(done, total))
-        if not writer.frames:
-            raise _nothing_seen(info, file)
-    if left is not None:
-        left.unlink(missing_ok=True)
-    written = writer.info()
+        found = held(target, info, pipeline, selection)
+        if found.others:
+            raise _would_be_lost(target, found.others)
+        if found.complete:
+            notes.append(f"{target.name} holds all of that already; nothing was done")
+            reused = perception_info(target).frames
+            lacking = [n for n in sorted(file.frames) if selection.has(n) and n not in found.asked] if file else []
+            interrupted(target, forget=True)
+        else:
+            work = _Work(info, pipeline, file, selection, found.beside, jobs, progress)
+            reused, lacking = _write(target, work, notes)
+    written = perception_info(target)
     seconds = time.perf_counter() - began
     return PerceiveResult(
         output=target,
-        frontend=chosen,
+        frontend=chosen.name,
         frames=written.frames,
         reused=reused,
         masks=written.masks,
         kinds=written.kinds,
         skipped=len(lacking),
         encoder=written.encoder,
+        device=pipeline.device,
         digest=written.digest,
         seconds=seconds,
         frames_per_second=written.frames / seconds,
-        notes=(*notes, *_skipped(detections, sorted(lacking))),
+        notes=(*notes, *_skipped(detections, lacking)),
     )
 
 
-def _chosen(frontend: Frontend | None, detections: Path | None) -> str:
-    if frontend is not None and detections is not None:
-        raise InputError(
-            f"--frontend {frontend} and --detections {detections} are both given; masks come from one of them: "
-            "leave the other out"
+@dataclass(frozen=True)
+class _Work:
+    """What is to be done. beside: frames not asked for, whose results stay."""
+
+    info: RecordingInfo
+    pipeline: Pipeline
+    file: DetectionFile | None
+    selection: Selection
+    beside: frozenset[int]
+    jobs: int
+    progress: Callable[[int, int], None] | None
+
+    def frames(self) -> Generator[Frame, None, None]:
+        """Those asked for and those beside, in order."""
+        if not self.beside:
+            chosen = self.selection
+            return read_frames(self.info.path, start=chosen.start, end=chosen.end, stride=chosen.stride)
+        return self._both()
+
+    def _both(self) -> Generator[Frame, None, None]:
+        with closing(read_frames(self.info.path)) as frames:
+            for frame in frames:
+                if frame.index in self.beside or self.selection.has(frame.index):
+                    yield frame
+
+
+def _write(target: Path, work: _Work, notes: list[str]) -> tuple[int, list[int]]:
+    """The new file; how many frames were there already, and the frames of the detections that the recording lacks."""
+    pipeline, file = work.pipeline, work.file
+    lacking = {number for number in file.frames if work.selection.has(number)} if file else set[int]()
+    reused, total = 0, len(work.beside) + _total(work.info, work.selection)
+    left = interrupted(target)
+    with ExitStack() as stack:
+        frames = stack.enter_context(closing(work.frames()))
+        earlier = _earlier(target, left, notes)
+        results = stack.enter_context(closing(perceive_frames(pipeline, frames, earlier, work.jobs)))
+        writer = stack.enter_context(
+            PerceptionWriter(
+                target,
+                work.info,
+                stages=pipeline.described(),
+                encoder=pipeline.enc.name,
+                dimensions=pipeline.enc.dimensions,
+            )
         )
-    return "detections" if detections is not None else frontend or "offline"
+        for done, (frame, found) in enumerate(results, 1):
+            lacking.discard(frame.index)
+            if found is not None:
+                writer.add(found[0])
+                reused += found[1]
+            if work.progress is not None:
+                work.progress(done, max(done, total))
+        if not writer.frames:
+            raise _nothing_seen(work.info, file)
+    if left is not None:
+        left.unlink(missing_ok=True)
+    if work.beside:
+        notes.append(f"{len(work.beside)} frames that were not asked for stay in {target.name} as they were")
+    return reused, sorted(lacking)
 
 
-def _parameters(chosen: str, assignments: Sequence[str]) -> PerceptionParameters:
+def _chosen(frontend: Frontend | None, models: Path | None, detections: Path | None) -> Chosen:
+    if detections is not None and (frontend is not None or models is not None):
+        other = f"--models {models}" if frontend is None else f"--frontend {frontend}"
+        raise InputError(
+            f"{other} and --detections {detections} are both given; masks come from one of them: leave the other out"
+        )
+    if detections is not None:
+        return GIVEN
+    if (models is not None) and frontend not in (None, "models"):
+        raise InputError(f"--frontend {frontend} and --models {models} are both given; leave one of them out")
+    if models is not None:
+        return read_models(models)
+    if frontend == "models":
+        raise InputError("--frontend models wants --models FILE.toml, which names them; docs/models.md has examples")
+    return of_frontend(frontend or "offline")
+
+
+def _parameters(chosen: Chosen, assignments: Sequence[str]) -> PerceptionParameters:
     """Of all front ends; only those of the chosen one may be set."""
     changes = from_assignments(assignments)
     parameters = updated(PerceptionParameters(), changes, source="--set")
     for name in changes:
-        if name.partition(".")[0] not in GROUPS[chosen]:
-            what = "come as they are" if chosen == "detections" else f"are found by {chosen}"
+        if name.partition(".")[0] not in chosen.groups:
+            what = "come as they are" if chosen is GIVEN else f"are found by {chosen.name}"
             raise InputError(f"--set: {name} has no effect here, because masks {what}; leave it out")
     return parameters
 
@@ -192,10 +256,18 @@ def _until_damage(found: Iterator[FrameMasks], notes: list[str]) -> Iterator[Fra
         notes.append(f"the older file could not be used again from there on: {error}")
 
 
-def _total(info: RecordingInfo, start: int | None, end: int | None, stride: int) -> int:
+def _would_be_lost(target: Path, frames: int) -> InputError:
+    return InputError(
+        f"{target} holds {frames} frames that are not asked for and were made in another way (other stages, "
+        "parameters, models, or another recording), which this would lose; write another file with "
+        "--out, or leave --start, --end and --stride out"
+    )
+
+
+def _total(info: RecordingInfo, selection: Selection) -> int:
     """Frames to come, at most: dropped ones left gaps."""
-    last = info.last if end is None else min(info.last, end - 1)
-    numbers = range(start or 0, last + 1, max(1, stride))
+    last = info.last if selection.end is None else min(info.last, selection.end - 1)
+    numbers = range(selection.start or 0, last + 1, selection.stride)
     return min(info.frames, sum(1 for number in numbers if number >= info.first))
 
 

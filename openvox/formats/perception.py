@@ -99,15 +99,7 @@ class PerceptionWriter:
         encoder: str,
         dimensions: int,
     ) -> None:
-        begin = {
-            "format_version": str(FORMAT_VERSION),
-            "openvox_version": __version__,
-            "recording": Path(os.path.relpath(recording.path.resolve(), path.parent.resolve())).as_posix(),
-            "recording_digest": recording.digest,
-            "encoder": encoder,
-            "dimensions": str(dimensions),
-            "stages": _json(list(stages)),
-        }
+        begin = begin_metadata(path, recording, stages, encoder, dimensions)
         self._open(path, begin, encoder, dimensions)
 
     @classmethod
@@ -167,6 +159,21 @@ class PerceptionWriter:
     def info(self) -> PerceptionInfo:
         """What was written; only after the block has ended."""
         return perception_info(self.path)
+
+
+def begin_metadata(
+    path: Path, recording: RecordingInfo, stages: Sequence[Mapping[str, Any]], encoder: str, dimensions: int
+) -> dict[str, str]:
+    """What a file at `path` says of itself before its first frame."""
+    return {
+        "format_version": str(FORMAT_VERSION),
+        "openvox_version": __version__,
+        "recording": Path(os.path.relpath(recording.path.resolve(), path.parent.resolve())).as_posix(),
+        "recording_digest": recording.digest,
+        "encoder": encoder,
+        "dimensions": str(dimensions),
+        "stages": _json(list(stages)),
+    }
 
 
 def _content(found: FrameMasks) -> Iterator[bytes]:
@@ -236,13 +243,17 @@ def _check_embeddings(path: Path, found: FrameMasks, dimensions: int) -> None:
             )
 
 
-def interrupted(path: Path) -> Path | None:
-    """What an interrupted writing of `path` has left, moved out of the way of the next; None if there is nothing."""
+def interrupted(path: Path, *, forget: bool = False) -> Path | None:
+    """What an interrupted writing of `path` has left, moved out of the way of the next; None if there is nothing.
+
+    forget: it is of no use and is removed."""
     partial, kept = (path.with_name(path.name + suffix) for suffix in (".partial", ".earlier.partial"))
     with suppress(OSError):
         # Of two, the larger has more of the same frames: each run began with what the one before had left.
         if partial.exists() and not (kept.exists() and kept.stat().st_size > partial.stat().st_size):
             os.replace(partial, kept)
+        if forget:
+            kept.unlink(missing_ok=True)
     return kept if kept.exists() else None
 
 

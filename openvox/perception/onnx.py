@@ -60,7 +60,7 @@ class Model:
             model._open(file, [*(name for name in GPUS if name in present), CPU])
         except Exception as error:  # onnxruntime raises a dozen kinds that share no name
             raise InputError(
-                f"{file}: cannot be loaded as an ONNX model ({_first_line(error)}); export it again"
+                f"{file}: cannot be loaded as an ONNX model ({first_line(error)}); export it again"
             ) from None
         return model
 
@@ -83,7 +83,7 @@ class Model:
             found: list[NDArray[Any]] = self._session.run(list(outputs), inputs)
         except Exception as error:  # onnxruntime raises a dozen kinds that share no name
             raise InputError(
-                f"{self.file}: the model failed ({_first_line(error)}); it has {self.signature()}"
+                f"{self.file}: the model failed ({first_line(error)}); it has {self.signature()}"
             ) from None
         return found
 
@@ -115,7 +115,8 @@ def _listed(nodes: Mapping[str, tuple[str, Sequence[Any]]]) -> str:
     return " and ".join(texts) or "none"
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """What a foreign package says, cut short."""
     text = (str(error).strip() or type(error).__name__).splitlines()[0]
     return text if len(text) <= 200 else f"{text[:200]}..."
 

@@ -39,6 +39,14 @@ class Pipeline:
             for role, stage in stages
         ]
 
+    @property
+    def device(self) -> str:
+        """What the stages run on, in a few words."""
+        roles = {"det": self.det, "segcap": self.segcap, "enc": self.enc}
+        on_gpu = {role: str(getattr(stage, "device", "CPU")) for role, stage in roles.items()}
+        found = [f"{role} on the GPU ({device})" for role, device in on_gpu.items() if device != "CPU"]
+        return ", ".join([*found, "the rest on the CPU"]) if found else "on the CPU"
+
     def keys(self, frame: Frame) -> tuple[str, str, str]:
         """What each stage's output depends on besides the frame's digest, the stage before included."""
         det = digest_of(["det", self.det.digest(frame)])

@@ -59,8 +59,10 @@ LARGEST_TOML = 1 << 20
 
 @dataclass(frozen=True)
 class Chosen:
-    """The stage of each role, and what a TOML file says of it. asked_by: what to call it in errors."""
+    """The stage of each role, and what a TOML file says of it. `name`: of the front end. `asked_by`: what to call it in
+    errors. `folder`: where paths count from."""
 
+    name: str
     names: Mapping[str, str]
     options: Mapping[str, Mapping[str, Value]]
     asked_by: str
@@ -86,7 +88,9 @@ class Setting:
         """The path that an option names; it must be a file. Raises InputError."""
         path = self._path(option, value, "a file")
         if not path.is_file():
-            raise InputError(f"{self.asked_by}: {option} is {value!r}, and {path} is no file; paths count from its folder")
+            raise InputError(
+                f"{self.asked_by}: {option} is {value!r}, and {path} is no file; paths count from its folder"
+            )
         return path
 
     def folder(self, option: str, value: str) -> Path:
@@ -106,11 +110,11 @@ class Setting:
 
 def of_frontend(name: str) -> Chosen:
     """The stages of a front end that comes with openvox."""
-    return Chosen(FRONTENDS[name], {}, f"--frontend {name}", Path())
+    return Chosen(name, FRONTENDS[name], {}, f"--frontend {name}", Path())
 
 
 def read_models(path: Path) -> Chosen:
-    """The stages of a TOML file: tables [det], [segcap], [enc], each with `stage` and its options. Raises InputError."""
+    """The stages of a TOML file: tables [det], [segcap], [enc], with `stage` and options. Raises InputError."""
     if not path.is_file() or path.stat().st_size > LARGEST_TOML:
         raise InputError(f"{path}: no small text file; --models wants a TOML file with tables {_roles()}")
     names = dict(FRONTENDS["offline"])
@@ -123,7 +127,7 @@ def read_models(path: Path) -> Chosen:
             names[role] = _known(str(value), STAGES[role], f"{path}: [{role}] stage")
         else:
             options[role][key] = value
-    return Chosen(names, options, str(path), path.parent)
+    return Chosen("models", names, options, str(path), path.parent)
 
 
 def pipeline_of(chosen: Chosen, recording: RecordingInfo, parameters: PerceptionParameters) -> Pipeline:

@@ -16,6 +16,7 @@ from openvox.core.errors import OpenvoxError
 EXAMPLES = (
     "openvox perceive living.mcap",
     "openvox perceive living.mcap --detections my_detector.jsonl",
+    "openvox perceive living.mcap --frontend models --models my.toml",
     "openvox perceive living.mcap office.mcap --set geometry.min_pixels=600",
 )
 
@@ -23,11 +24,15 @@ EXAMPLES = (
 def perceive(
     recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings made by ingest.")],
     frontend: Annotated[
-        Literal["offline", "geometry", "oracle"] | None,
+        Literal["offline", "geometry", "oracle", "models"] | None,
         typer.Option(
             help="offline: regions from depth, named by small models that come with openvox (the default); "
-            "geometry: regions from depth alone; oracle: the recording's own ground truth."
+            "geometry: regions from depth alone; oracle: the recording's own ground truth; models: those of --models."
         ),
+    ] = None,
+    models: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.toml", help="Detector, segmenter and encoder of your own; see docs/models.md."),
     ] = None,
     detections: Annotated[
         Path | None, typer.Option(metavar="FILE.jsonl", help="Masks and captions of a front end of your own.")
@@ -55,6 +60,7 @@ def perceive(
         return application.perceive(
             recording,
             frontend=frontend,
+            models=models,
             detections=detections,
             out=out,
             assignments=assignments or [],
@@ -88,7 +94,8 @@ def print_result(data: tables.Data) -> None:
     again = f", {data['reused']} of them from an earlier run" if data["reused"] else ""
     print(
         f"{data['frames']} frames looked at{again}, {data['masks']} masks ({kinds or 'none'}), "
-        f"{data['seconds']:.1f} s, captions encoded by {data['encoder']}"
+        f"{data['seconds']:.1f} s, captions encoded by {data['encoder']}, "
+        f"models {data['device']}"
     )
     tables.notes(data)
     tables.wrote(data["output"])

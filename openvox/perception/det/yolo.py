@@ -20,7 +20,7 @@ from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
 from openvox.perception.det.boxes import letterboxed, suppressed
 from openvox.perception.det.yolo_outputs import EXPECTED, decoded, padding
-from openvox.perception.onnx import TYPES, Model
+from openvox.perception.onnx import Model
 from openvox.perception.stage import stage_digest
 
 if TYPE_CHECKING:
@@ -37,11 +37,15 @@ class YoloOptions:
     """What the TOML file may say in [det]."""
 
     file: str = parameter("", "", why="the ONNX file")
-    words: str = parameter("", "", why="a text file, one word a line by class number; else those in the model's metadata")
+    words: str = parameter(
+        "", "", why="a text file, one word a line by class number; else those in the model's metadata"
+    )
     score: float = parameter(0.3, "score", 0.0, 1.0, why="less sure boxes are more often wrong than right")
     top_k: int = parameter(100, "boxes", 1, 10_000, why="at most so many a frame, the best")
     overlap: float = parameter(0.7, "IoU", 0.0, 1.0, why="of two boxes of one word that overlap more the better stays")
-    side: int = parameter(640, "px", 32, 4096, why="of the square that pictures are put into, if the file leaves it open")
+    side: int = parameter(
+        640, "px", 32, 4096, why="of the square that pictures are put into, if the file leaves it open"
+    )
 
 
 class Yolo:
@@ -121,11 +125,15 @@ def _words_inside(model: Model) -> list[str]:
     except (ValueError, SyntaxError, KeyError, TypeError, MemoryError, RecursionError):
         words = []
     if not any(words):
-        raise InputError(f"{model.file} holds no names of its classes; give a text file, one a line: [det] words = FILE")
+        raise InputError(
+            f"{model.file} holds no names of its classes; give a text file, one a line: [det] words = FILE"
+        )
     return _checked(words, model.file)
 
 
 def _checked(words: Sequence[str], path: Path) -> list[str]:
     if not any(words) or len(words) > MOST_WORDS:
-        raise InputError(f"{path}: {len(words)} words; expected 1 to {MOST_WORDS}, one a line, in the order of the classes")
+        raise InputError(
+            f"{path}: {len(words)} words; expected 1 to {MOST_WORDS}, one a line, in the order of the classes"
+        )
     return list(words)

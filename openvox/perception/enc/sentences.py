@@ -36,8 +36,9 @@ class SentenceOptions:
 
 
 class Sentences:
-    """Texts to unit vectors, each text on its own. `name` is the folder's: maps made with it say so. `pooling`: mean, cls
-    or max of the states, if the model gives states."""
+    """Texts to unit vectors, each text on its own. `name` is the folder's: maps made with it say so.
+
+    pooling: mean, cls or max of the states, if the model gives states. Raises InputError."""
 
     def __init__(self, folder: Path, file: str = "", prefix: str = "") -> None:
         self.name, self._prefix = folder.resolve().name, prefix
@@ -46,11 +47,15 @@ class Sentences:
         check_size(tokenizer)
         self._model = Model.of_user(_model_file(folder, file), tokenizer)
         self.device, self.model_digest = self._model.device, self._model.digest
-        if not {"input_ids", "attention_mask"} <= self._model.inputs.keys() <= {
-            "input_ids",
-            "attention_mask",
-            "token_type_ids",
-        }:
+        if (
+            not {"input_ids", "attention_mask"}
+            <= self._model.inputs.keys()
+            <= {
+                "input_ids",
+                "attention_mask",
+                "token_type_ids",
+            }
+        ):
             raise self._model.refused(EXPECTED)
         self._tokenizer = _tokenizer(tokenizer)
         self._vector = lru_cache(REMEMBERED)(self._encode)
@@ -76,7 +81,8 @@ class Sentences:
         return vector
 
     def _pooled(self, outputs: dict[str, NDArray[Any]], tokens: int) -> NDArray[np.float64]:
-        states = outputs.get("sentence_embedding", next(iter(outputs.values())))[0].astype(np.float64)
+        found = outputs.get("sentence_embedding", next(iter(outputs.values())))
+        states: NDArray[np.float64] = np.asarray(found[0], np.float64)
         if states.ndim == 1:
             return states
         if states.ndim != 2 or len(states) != tokens:
@@ -121,15 +127,18 @@ def _pooling(folder: Path) -> str:
     texts = {"mean": "mean", "cls": "cls", "max": "max", "mean_tokens": "mean", "cls_token": "cls", "max_tokens": "max"}
     try:
         further = [str(module["type"]).rsplit(".", 1)[-1] for module in modules]
-        modes = [key.removeprefix("pooling_mode_") for key, on in config.items() if key.startswith("pooling_mode_") and on]
+        modes = [
+            key.removeprefix("pooling_mode_") for key, on in config.items() if key.startswith("pooling_mode_") and on
+        ]
         modes = modes or [str(config[key]) for key in ("pooling_mode",) if key in config]
     except (AttributeError, KeyError, TypeError) as error:
         raise InputError(f"{folder}: modules.json or 1_Pooling/config.json cannot be read ({error!r})") from None
     mode = texts.get(modes[0]) if modes else "mean"
     if mode is None or len(modes) > 1 or not set(further) <= {"Transformer", "Pooling", "Normalize"}:
         raise InputError(
-            f"{folder} pools by {' and '.join(modes) or 'mean_tokens'} after {', '.join(further) or 'nothing'}; expected "
-            "Transformer, one Pooling by mean_tokens, cls_token or max_tokens, and perhaps Normalize"
+            f"{folder} pools by {' and '.join(modes) or 'mean_tokens'}, its modules are "
+            f"{', '.join(further) or 'not named'}; "
+            "expected Transformer, one Pooling by mean_tokens, cls_token or max_tokens, and perhaps Normalize"
         )
     return mode
 

@@ -1,4 +1,4 @@
-"""SegCap from the ONNX files of a promptable segmenter, encoder and decoder: SAM, MobileSAM, EfficientSAM, SAM 2, EdgeSAM.
+"""SegCap from the ONNX files of a promptable segmenter, encoder and decoder: SAM and its kin.
 
 The encoder sees the frame once; then every box is a prompt, all of a frame in as few calls as the decoder takes.
 """
@@ -127,5 +127,3 @@ def _takes_many(decoder: Model) -> bool:
         if name in decoder.inputs:
             return not isinstance(decoder.inputs[name][1][axis], int)
     raise decoder.refused(EXPECTED)
-
-

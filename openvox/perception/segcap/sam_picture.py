@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from openvox.perception.onnx import Model
 
 EXPECTED_ENCODER = (
-    "an image encoder: input_image float[1,3,s,s] or float[h,w,3], batched_images float[b,3,h,w], or image float[1,3,s,s]"
+    "an image encoder with one input: input_image float[1,3,s,s] or float[h,w,3], batched_images float[b,3,h,w], or "
+    "image float[1,3,s,s]"
 )
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 DEVIATION = np.array([58.395, 57.12, 57.375], np.float32)

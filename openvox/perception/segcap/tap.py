@@ -20,7 +20,7 @@ from openvox.core.parameters import Value, parameter
 from openvox.core.types import Frame, Mask
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
-from openvox.perception.onnx import check_size, digest_of_files
+from openvox.perception.onnx import check_size, digest_of_files, first_line
 from openvox.perception.segcap.sam_picture import SIDE, fitted
 from openvox.perception.segcap.words import captioned
 from openvox.perception.stage import stage_digest
@@ -116,7 +116,8 @@ def _loaded(name: str, weights: Path) -> tuple[Any, str]:
         from tokenize_anything import model_registry
     except ImportError as error:
         raise InputError(
-            f"[segcap] tap needs the packages tokenize-anything, torch and flash-attn ({error}); install them, or use stage sam"
+            f"[segcap] tap needs the packages tokenize-anything, torch and flash-attn ({error}); install them, or "
+            "use stage sam"
         ) from None
     if name not in model_registry:
         raise InputError(f"tokenize-anything has no model {name}; it has {', '.join(model_registry)}")
@@ -129,13 +130,13 @@ def _loaded(name: str, weights: Path) -> tuple[Any, str]:
             tensors = torch.load(str(weights), map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises pickle's, zip's and its own
         raise InputError(
-            f"{weights}: cannot be read as tensors only ({str(error).splitlines()[0][:200] if str(error) else error!r}); "
+            f"{weights}: cannot be read as tensors only ({first_line(error)}); "
             "docs/models.md says how to make such a file"
         ) from None
     model = model_registry[name]()
     try:
         model.load_state_dict(tensors)
     except (RuntimeError, TypeError, AttributeError) as error:
-        raise InputError(f"{weights}: not the weights of {name} ({str(error).splitlines()[0][:200]})") from None
+        raise InputError(f"{weights}: not the weights of {name} ({first_line(error)})") from None
     model.text_decoder.reset_cache(max_batch_size=BATCH)
     return model, "CUDA" if torch.cuda.is_available() else "CPU"

@@ -1,0 +1,183 @@
+"""perceive --models: a TOML file puts Det, SegCap and Enc together; what is wrong with it is a sentence."""
+
+from __future__ import annotations
+
+from math import ceil, floor
+from pathlib import Path
+from typing import Any
+
+import graphs
+import pytest
+from test_perceive import LARGE, count_calls, record
+from worlds import tiny_frames
+
+from openvox.apps.perceive import perceive
+from openvox.core.errors import InputError
+from openvox.formats.perception import perception_info, read_masks
+from openvox.perception.det.yolo import Yolo
+from openvox.perception.segcap.sam import Sam
+
+ALL = """
+[det]
+stage = "yolo-world"
+file = "det.onnx"
+words = "words.txt"
+
+[segcap]
+stage = "sam"
+encoder = "sam.encoder.onnx"
+decoder = "sam.decoder.onnx"
+
+[enc]
+stage = "sentence-transformers"
+folder = "mine"
+"""
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return record(tmp_path / "a.mcap", tiny_frames(4, camera=LARGE))
+
+
+@pytest.fixture
+def models(tmp_path: Path) -> Path:
+    """A folder with one model of each role, and the TOML file that names them."""
+    folder = tmp_path / "models"
+    graphs.looking_detector(folder / "det.onnx", words=2)
+    (folder / "words.txt").write_text("cup\nchair\n")
+    graphs.image_encoder(folder / "sam.encoder.onnx")
+    graphs.sam_decoder(folder / "sam.decoder.onnx")
+    graphs.sentence_folder(folder / "mine")
+    return written(folder, ALL)
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "my.toml"
+    path.write_text(text)
+    return path
+
+
+def test_all_three_stages_may_be_the_users(recording, models):
+    result = perceive(recording, frontend="models", models=models)
+    assert (result.frontend, result.frames, result.encoder, result.device) == ("models", 4, "mine", "on the CPU")
+    info = perception_info(result.output)
+    assert [(stage["role"], stage["name"]) for stage in info.stages] == [
+        ("det", "yolo"),
+        ("segcap", "sam"),
+        ("enc", "mine"),
+    ]
+    assert (info.dimensions, info.parameters["det.file"], info.parameters["det.score"]) == (5, "det.onnx", 0.3)
+    for found in read_masks(result.output, boxes=True):
+        (box,), (mask,) = found.boxes, found.masks
+        assert box.label == mask.label == "cup"
+        x0, y0, x1, y1 = box.corners  # a pixel is in the mask if its middle is in the box
+        assert mask.box == (floor(x0 + 0.5), floor(y0 + 0.5), ceil(x1 - 0.5), ceil(y1 - 0.5))
+
+
+def test_models_alone_say_which_front_end(recording, models):
+    assert perceive(recording, models=models).frontend == "models"
+
+
+def test_what_the_file_leaves_out_is_as_offline_has_it(recording, tmp_path):
+    result = perceive(recording, models=written(tmp_path, ""))
+    assert result.digest == perceive(recording, out=tmp_path / "b.mcap").digest
+    assert result.digest == perceive(recording, models=written(tmp_path, '[segcap]\nstage = "offline"')).digest
+
+
+def test_the_users_detector_may_go_with_the_regions_from_depth(recording, models):
+    written(models.parent, ALL.partition("[segcap]")[0])
+    result = perceive(recording, models=models, assignments=["geometry.far=5", "offline.claim_inside=0.7"])
+    stages = perception_info(result.output).stages
+    assert [stage["name"] for stage in stages] == ["yolo", "offline", "minilm"]
+    assert result.kinds["region"] > 0
+
+
+def test_the_truth_may_stand_for_a_detector(recording, models):
+    written(models.parent, '[det]\nstage = "truth"\n' + ALL[ALL.index("[segcap]") :])
+    result = perceive(recording, models=models)
+    assert {mask.label for found in read_masks(result.output) for mask in found.masks} == {"table", "box"}
+
+
+def test_another_encoder_computes_embeddings_only(recording, models, monkeypatch):
+    perceive(recording, models=models)
+    calls = [count_calls(monkeypatch, kind) for kind in (Yolo, Sam)]
+    written(models.parent, ALL.partition("[enc]")[0])
+    result = perceive(recording, models=models)
+    assert (result.encoder, result.reused, calls) == ("minilm", 0, [[], []])
+    written(models.parent, ALL.replace("[segcap]", "score = 0.5\n[segcap]").partition("[enc]")[0])
+    perceive(recording, models=models)
+    assert [sorted(frames) for frames in calls] == [[0, 1, 2, 3], [0, 1, 2, 3]]
+
+
+def test_the_number_of_workers_changes_no_byte(recording, models):
+    outputs = [
+        perceive(recording, models=models, jobs=jobs, out=recording.with_name(f"{jobs}.mcap")) for jobs in (1, 3)
+    ]
+    assert outputs[0].output.read_bytes() == outputs[1].output.read_bytes()
+
+
+def test_a_model_that_fails_at_a_frame_leaves_nothing_under_the_files_name(recording, models, monkeypatch):
+    def fails(self: Any, *_: Any) -> Any:
+        raise InputError("det.onnx: the model failed (out of memory)")
+
+    monkeypatch.setattr(Yolo, "__call__", fails)
+    with pytest.raises(InputError, match="the model failed"):
+        perceive(recording, models=models)
+    assert sorted(entry.name for entry in recording.parent.iterdir()) == ["a.mcap", "models"]
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('[det]\nstage = "yolo"', r"my.toml: det.file is missing; expected the path of a file"),
+        ('[det]\nstage = "yolo"\nfile = "x.onnx"', r"my.toml: det.file is 'x.onnx', and .*x.onnx is no file"),
+        ('[det]\nstage = "yolov8"', r"my.toml: \[det\] stage is 'yolov8'; expected yolo-world, yolo, .* mean yolo\?"),
+        ("[det]\nstage = 3", r"\[det\] stage is '3'; expected"),
+        (
+            '[detector]\nstage = "yolo"',
+            r"my.toml: there is no stage \[detector\]; expected \[det\], \[segcap\], \[enc\]",
+        ),
+        ('[det]\nstage = "yolo"\nscor = 0.2', r"\[det\] yolo: an option is 'scor'; expected file, .* mean score\?"),
+        ("[det]\nscore = 0.2", r"\[det\] nanodet: an option is 'score'; expected none"),
+        ('[det]\nstage = "yolo"\nscore = 2', r"my.toml: det.score is 2 score; expected 0 .. 1"),
+        ('[det]\nstage = "yolo"\ntop_k = "many"', r"my.toml: det.top_k is 'many'; expected a whole number"),
+        ('[enc]\nstage = "sentence-transformers"\nfolder = "no"', r"enc.folder is 'no', and .* is no folder"),
+        ("stage = 3", r"my.toml: 'stage' stands outside a table"),
+        ("[det", r"my.toml: cannot be read as TOML"),
+    ],
+)
+def test_what_is_wrong_with_the_file_is_a_sentence(recording, tmp_path, text, sentence):
+    with pytest.raises(InputError, match=sentence):
+        perceive(recording, models=written(tmp_path, text))
+    assert not recording.with_name("a.perception.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (
+            {"models": Path("none.toml")},
+            r"none.toml: no small text file; --models wants a TOML file with tables \[det\]",
+        ),
+        ({"frontend": "models"}, r"--frontend models wants --models FILE.toml"),
+        ({"frontend": "oracle", "models": Path("x")}, r"--frontend oracle and --models x are both given"),
+        ({"models": Path("x"), "detections": Path("y")}, r"--models x and --detections y are both given"),
+    ],
+)
+def test_options_that_do_not_go_together_are_a_sentence(recording, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        perceive(recording, **options)
+
+
+def test_a_parameter_of_a_stage_that_is_not_chosen_is_a_sentence(recording, models):
+    with pytest.raises(InputError, match=r"geometry.far has no effect here, because masks are found by models"):
+        perceive(recording, models=models, assignments=["geometry.far=3"])
+
+
+def test_the_command_says_what_the_models_ran_on(recording, models, capsys):
+    from openvox.cli import main
+
+    with pytest.raises(SystemExit) as left:
+        main(["perceive", str(recording), "--frontend", "models", "--models", str(models)])
+    assert not left.value.code
+    assert "captions encoded by mine, models on the CPU" in capsys.readouterr().out
