@@ -29,7 +29,7 @@ from openvox.core.mapper_parameters import preset
 from openvox.core.types import Candidate, Event, Frame, Intrinsics, Pose, Rig
 from openvox.formats.trace import TraceWriter, read_trace
 from openvox.mapper.mapper import Mapper
-from openvox.view.best_views import BestViews
+from openvox.view.best_views import WIDTH, BestViews
 from openvox.view.decision_graph import decision_graph
 from openvox.view.decision_table import margins
 from openvox.view.instance_table import Row, markdown
@@ -180,19 +180,20 @@ def test_an_observer_of_a_resumed_run_knows_what_one_of_the_whole_run_knows() ->
 
 def test_the_table_of_instances_tells_votes_and_how_sure_the_voxels_are() -> None:
     row = Row(7, [("a chair", 3.0), ("a stool", 1.0)], 4, np.array([0, 0, 0, 0, 0, 1, 0, 0, 0, 8]))
-    assert markdown([row]).splitlines()[-1] == "| 7 | a chair (3); a stool (1) | 4 | 9 | `     ▁   █` |"
+    assert markdown([row]).splitlines()[-1] == "| 7 | 4 | 9 | `     ▁   █` | a chair (3); a stool (1) |"
 
 
-def test_the_best_views_are_of_the_largest_masks() -> None:
+def test_the_views_of_each_instance_lie_side_by_side_in_one_sheet() -> None:
     views = BestViews()
     for frame in tiny_frames(2):
         story = Story([frame])
-        views.add(story.tell(instance_of={5: 3}, masks=(mask(frame.index, "box"),), decisions=(decision(0, 5),)))
-    sheet = views.sheet([3, 9], {5: 3}.__getitem__)
+        masks = (mask(frame.index, "box"), mask(2, "ball"))
+        views.add(story.tell(instance_of={5: 3, 6: 6}, masks=masks, decisions=(decision(0, 5), decision(1, 6))))
+    sheet = views.sheet([3, 6, 9], {5: 3, 6: 6}.__getitem__)
     assert sheet is not None
-    assert list(sheet.boxes) == [3]
-    assert sheet.picture.any()
-    assert views.sheet([9], {5: 3}.__getitem__) is None
+    assert sheet.boxes == {3: (0, 0, 336, 112), 6: (346, 0, 336, 112)}  # side by side; 9 was never seen
+    assert sheet.picture.shape == (122, WIDTH, 3)
+    assert views.sheet([9], {5: 3, 6: 6}.__getitem__) is None
 
 
 def test_voxel_size_is_that_of_the_run(tmp_path: Path) -> None:
@@ -200,3 +201,10 @@ def test_voxel_size_is_that_of_the_run(tmp_path: Path) -> None:
     story.tell(new=owned([(0, 0, 0)], 1), instance_of={1: 1})
     row = rows(record(tmp_path / "run.rrd", story.steps), "world/instances/0001")[0]
     assert row["voxel_size"] == [pytest.approx([SIZE] * 3)]
+
+
+def test_of_near_frames_the_larger_mask_is_the_better_view() -> None:
+    views = BestViews()
+    for frame, number in zip(tiny_frames(3), (3, 1, 0), strict=True):  # the border cuts mask 0
+        views.add(Story([frame]).tell(instance_of={5: 5}, masks=(mask(number, ""),), decisions=(decision(0, 5),)))
+    assert [view.frame for view in views.of(5)] == [1]

@@ -23,6 +23,8 @@ ACROSS = 4
 """Instances side by side in the sheet."""
 GAP = 10
 PAPER = 24
+WIDTH = ACROSS * (VIEWS * SIDE + GAP)
+"""Of the sheet, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """All instances' views in one picture, and the box (x, y, width, height) of each instance there."""
+    """All instances' views in one picture, with their ids, and the box (x, y, width, height) of each instance there."""
 
     picture: Picture
     boxes: dict[int, tuple[int, int, int, int]]
@@ -60,6 +62,10 @@ class BestViews:
                 picture = decode_color(step.frame) if picture is None else picture
                 views[:] = [*kept, View(area, step.frame.index, _crop(picture, mask))]
 
+    def of(self, instance: int) -> Sequence[View]:
+        """The views of an instance, as it was called when a mask went to it."""
+        return self._views.get(instance, ())
+
     def sheet(self, instances: Sequence[int], now: Callable[[int], int]) -> Sheet | None:
         """The views of these instances, in rows; None if there are none. now: instance of a fragment."""
         views: dict[int, list[View]] = {}
@@ -69,7 +75,7 @@ class BestViews:
         if not shown:
             return None
         width, height = VIEWS * SIDE + GAP, SIDE + GAP
-        picture = np.full((-(-len(shown) // ACROSS) * height, ACROSS * width, 3), PAPER, np.uint8)
+        picture = np.full((-(-len(shown) // ACROSS) * height, WIDTH, 3), PAPER, np.uint8)
         boxes = {}
         for place, instance in enumerate(shown):
             x, y = place % ACROSS * width, place // ACROSS * height
@@ -77,6 +83,8 @@ class BestViews:
             best = sorted(views[instance], key=lambda view: (-view.area, view.frame))[:VIEWS]
             for i, view in enumerate(best):
                 picture[y : y + SIDE, x + i * SIDE : x + (i + 1) * SIDE] = view.crop
+            for color, thick in (((0, 0, 0), 5), ((255, 255, 255), 2)):
+                cv2.putText(picture, str(instance), (x + 6, y + 28), cv2.FONT_HERSHEY_SIMPLEX, 0.9, color, thick)
         return Sheet(picture, boxes)
 
 

@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 
 from openvox.core.types import InstanceMap, Intrinsics
 from openvox.view import entities
+from openvox.view.best_views import WIDTH
 from openvox.view.lives import STATES
 from openvox.view.viewpoint import best_azimuth, centres, from_above
 
@@ -63,7 +64,11 @@ def _pictures() -> rrb.Vertical:
         rrb.Tabs(
             rrb.Spatial2DView(origin=entities.COLOR, contents=f"{entities.DETECTED}/**", name="Detected masks"),
             rrb.Spatial2DView(origin=entities.DEPTH, name="Depth, m"),
-            rrb.Spatial2DView(origin=entities.BEST_VIEWS, name="Best views"),
+            rrb.Spatial2DView(
+                origin=entities.BEST_VIEWS,
+                name="Best views",
+                visual_bounds=rrb.VisualBounds2D(x_range=(0, WIDTH), y_range=(0, WIDTH)),
+            ),
         ),
         rrb.Tabs(
             rrb.Spatial2DView(origin=entities.RENDERED, name="The map from the same pose"),

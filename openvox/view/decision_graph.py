@@ -11,9 +11,10 @@ from openvox.core.types import Decision, Step
 from openvox.view.labels import shortened
 
 CANDIDATES = 3
-"""Candidates shown a mask, best first, and the one that was chosen."""
+FAINT = Q20 // 20
+"""So many candidates are shown a mask, best first, if their A is not below this; and the one that was chosen."""
 LETTERS = 28
-ROW, COLUMN = 34.0, 330.0
+ROW, COLUMN = 26.0, 400.0
 CHOSEN = (240, 240, 240)
 PLAIN_RULES = ("new", "threshold", "small", "empty")
 """Where A and the threshold alone decided, or nothing was to be decided; else overlaps are shown, too."""
@@ -66,7 +67,7 @@ def _weights(decision: Decision) -> dict[int, str]:
     """Instance to what stands on its edge: the best candidates, and whom the mask went to."""
     labels = {}
     for rank, candidate in enumerate(decision.candidates):
-        if rank < CANDIDATES or candidate.instance == decision.instance:
+        if (rank < CANDIDATES and candidate.a >= FAINT) or candidate.instance == decision.instance:
             overlap = "" if decision.by in PLAIN_RULES else f", {candidate.overlap} of {decision.voxels} voxels"
             labels[candidate.instance] = f"A {candidate.a / Q20:.2f}{overlap}"
     if decision.instance:

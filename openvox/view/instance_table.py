@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from openvox.view.decision_table import escaped
 from openvox.view.labels import shortened
 
-HEAD = "| id | captions (votes) | observations | voxels | confidence of its voxels, 0 to 1 |"
-RULE = "|---:|:---|---:|---:|:---|"
+HEAD = "| id | observations | voxels | confidence, 0 to 1 | captions (votes) |"
+RULE = "|---:|---:|---:|:---|:---|"
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 10
 CAPTIONS = 3
@@ -43,5 +43,5 @@ def _row(row: Row) -> str:
     more = [f"{len(row.captions) - CAPTIONS} more"] if len(row.captions) > CAPTIONS else []
     most = max(int(row.histogram.max(initial=0)), 1)
     bars = "".join(BARS[-(-int(count) * (len(BARS) - 1) // most)] for count in row.histogram)
-    cells = (row.instance, "; ".join(shown + more), row.observations, int(row.histogram.sum()), f"`{bars}`")
+    cells = (row.instance, row.observations, int(row.histogram.sum()), f"`{bars}`", "; ".join(shown + more))
     return f"| {' | '.join(map(str, cells))} |"

@@ -120,6 +120,7 @@ class Instances:
             sizes=corners[:, 1] - corners[:, 0],
             colors=[instance_color(instance) for instance in instances],
             radii=[0.004],
+            fill_mode=rr.components.FillMode.MajorWireframe,
             labels=[self._label(instance) for instance in instances],
             show_labels=True,
         )

@@ -84,7 +84,7 @@ class Pictures:
             array_format=rr.Box2DFormat.XYWH,
             labels=[f"{instance}: {captions.get(instance, '')}" for instance in sheet.boxes],
             colors=[instance_color(instance) for instance in sheet.boxes],
-            show_labels=True,
+            show_labels=False,  # they would hide the pictures: told where one points
         )
         self._log(entities.BEST_VIEW_NAMES, names, static=True)
 
