@@ -124,6 +124,12 @@ class Twin:
         self.moved.clear()
         return tuple(self.decision(m, len(view.under[m]), choice) for m, choice in enumerate(choices))
 
+    def look_again(self) -> None:
+        """The map stays; what the frames to come count, counts anew."""
+        for piece in self.fragments.values():
+            piece.matched, piece.seen, piece.score, piece.observations = set(), set(), 0, 0
+        self.looked = 0
+
     def found(self, choices: Sequence[Choice], order: Iterable[int]) -> None:
         for m in order:
             if choices[m].by == "new":

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from openvox.apps.loop import Observer, run
 from openvox.apps.memory import MemoryLimit
+from openvox.apps.passes import check_passes, first_passes, pass_row
 from openvox.apps.resume import beginning, chain_state
 from openvox.core.digest import frame_digest, map_digest
 from openvox.core.errors import InputError
@@ -49,6 +50,7 @@ def replay(
     engine: str = "cpu",
     out: str | None = None,
     resume: Path | None = None,
+    passes: int = 1,
     max_memory: int | None = None,
     rerun: Path | None = None,
     images: Literal["none", "jpeg", "all"] = "jpeg",
@@ -62,9 +64,10 @@ def replay(
 ) -> dict[str, Any]:
     """Map a recording and write STEM.map.npz and STEM.trace.mcap; the contract's fields of `replay --json`.
 
-    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. images, every: of the
-    file for Rerun, see RerunObserver. read: instead of joined_frames. notice: told what takes long. Raises InputError,
-    OutputError."""
+    perception: instead of STEM.perception.mcap. out: another STEM. resume: a map to go on from. passes: how often the
+    frames are mapped; map, trace and the file for Rerun are the last pass's. images, every: see RerunObserver. read:
+    instead of joined_frames. notice: told what takes long. Raises InputError, OutputError."""
+    check_passes(passes, resume is not None)
     parameters = chosen_parameters(preset_name, params, assignments)
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
@@ -77,7 +80,7 @@ def replay(
     replaced = [str(path) for path in outputs if path.exists()]
     warm_up(parameters, engine, notice)
     begin = time.perf_counter()
-    watch, counter = Stopwatch(), Counting(progress, _count(source, start, end, stride))
+    watch, counter = Stopwatch(), Counting(progress, passes * _count(source, start, end, stride))
     about = {"preset": preset_name, "engine": engine, "parameters": as_dict(parameters)}
     sources = {
         name: (_relative(info.path, trace_path), info.digest)
@@ -86,11 +89,17 @@ def replay(
     mapper = (
         Mapper.resumed(earlier.map, parameters, watch, engine) if earlier.map else Mapper(parameters, watch, engine)
     )
+
+    def frames() -> closing[Generator[tuple[Frame, tuple[Mask, ...] | None], None, None]]:
+        return closing(read_ahead(_timed((read or joined_frames)(recording, found, start, end, stride), watch), 4))
+
+    watching: list[Observer] = [counter, *([MemoryLimit(max_memory)] if max_memory else [])]
+    rows, chain, before = first_passes(passes, mapper, frames, watching, earlier.chain)
+    counter.begin_pass()
+    said = {**earlier.said, **({"passes_before": rows} if rows else {})}
     with ExitStack() as stack:
-        trace = stack.enter_context(
-            TraceWriter(trace_path, {**about, "sources": sources, **earlier.said}, earlier.chain)
-        )
-        observers: list[Observer] = [trace, counter, *([MemoryLimit(max_memory)] if max_memory else [])]
+        trace = stack.enter_context(TraceWriter(trace_path, {**about, "sources": sources, **said}, chain))
+        observers: list[Observer] = [trace, *watching]
         if rerun is not None:
             from openvox.view.rerun_observer import RerunObserver
 
@@ -99,13 +108,12 @@ def replay(
                 voxel_size=parameters.map.voxel_size,
                 images=images,
                 every=every,
-                earlier=earlier.map,
+                earlier=before or earlier.map,
                 stages=watch.last,
             )
             watch.times["rerun"] = shown.milliseconds
             observers.append(stack.enter_context(shown))
-        frames = closing(read_ahead(_timed((read or joined_frames)(recording, found, start, end, stride), watch), 4))
-        run(stack.enter_context(frames), mapper, observers)
+        run(stack.enter_context(frames()), mapper, observers)
         if not counter.frames:
             raise InputError(
                 f"{recording}: no frame lies in the chosen range; openvox info {recording} shows the numbers"
@@ -122,7 +130,7 @@ def replay(
     meta = {
         **_meta(about, found, sources, digests, earlier.frames + counter.frames),
         "last": counter.last,
-        **earlier.said,
+        **said,
     }
     write_map(map_path, replace(result, meta=meta, state={**result.state, **chain_state(trace.digest)}))
     seconds = time.perf_counter() - begin
@@ -131,12 +139,13 @@ def replay(
         "frames": counter.frames,
         "looked": counter.looked,
         "seconds": seconds,
-        "frames_per_second": counter.frames / seconds,
+        "frames_per_second": passes * counter.frames / seconds,
         "ms": {stage: _summary(watch.times.get(stage, [])) for stage in (*STAGES, *(["rerun"] if rerun else []))},
         "voxels": len(result.voxel_index),
         "instances": len(result.instance_id),
         "decisions": dict(sorted(counter.rules.items())),
         "digests": digests,
+        "passes": [*rows, pass_row(result, trace.digest)],
         "outputs": {"map": str(map_path), "trace": str(trace_path), "rerun": str(rerun) if rerun else None},
         "replaced": replaced,
         **about,
@@ -202,9 +211,16 @@ class Counting:
 
     def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
         self._progress, self._total = progress, total
+        self._before = 0
         self.frames = self.looked = 0
         self.last = -1
         self.rules: Counter[str] = Counter()
+
+    def begin_pass(self) -> None:
+        """Count a new pass by itself; progress goes on."""
+        self._before += self.frames
+        self.frames = self.looked = 0
+        self.rules.clear()
 
     def on_step(self, step: Step) -> None:
         """One frame more."""
@@ -213,7 +229,7 @@ class Counting:
         self.last = step.frame.index
         self.rules.update(decision.by for decision in step.decisions)
         if self._progress:
-            self._progress(self.frames, self._total)
+            self._progress(self._before + self.frames, self._total)
 
     def close(self, result: InstanceMap) -> None:
         """Nothing is left to do."""

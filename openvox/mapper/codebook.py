@@ -59,6 +59,10 @@ class Fragment:
         self.direction = fixedpoint.shortened(self.total)
         self.square = int(self.direction @ self.direction)
 
+    def forget_frames(self) -> None:
+        """Forget when it was seen and how surely, so that frames that come again count once; what it is stays."""
+        self.matched, self.seen, self.score, self.observations = FrameSet(), FrameSet(), 0, 0
+
     def pass_on(self, piece: Fragment) -> None:
         """Give a piece that is cut off this fragment's memory: what was seen of the whole was seen of the piece."""
         piece.first_frame, piece.total, piece.weight = self.first_frame, self.total, self.weight

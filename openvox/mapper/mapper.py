@@ -119,6 +119,15 @@ class Mapper:
         }
         return replace(result, state=kept)
 
+    def look_again(self) -> None:
+        """Begin a pass over the same frames: the map stays, as the prior, but frames count anew, each once.
+
+        The next step tells the whole map as its changes, as that of a resumed mapper does."""
+        for fragment in self._fragments.values():
+            fragment.forget_frames()
+        self._life.confirmed.clear()
+        self._looked, self._untold = 0, True
+
     @classmethod
     def resumed(
         cls,

@@ -14,6 +14,7 @@ EXAMPLES = (
     "openvox replay living.mcap --rerun living.rrd",
     "openvox replay living.mcap --set map.voxel_size=0.05 --out coarse",
     "openvox replay evening.mcap --resume morning.map.npz",
+    "openvox replay living.mcap --passes 2 --out hindsight",
 )
 
 
@@ -36,6 +37,10 @@ def replay(
         Path | None,
         typer.Option(metavar="MAP", help="Go on where this map stopped: the rest of its recording, or a second visit."),
     ] = None,
+    passes: Annotated[
+        int,
+        typer.Option(min=1, metavar="N", help="Map all frames N times, each pass with the map before it as the prior."),
+    ] = 1,
     max_memory: Annotated[
         int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
     ] = None,
@@ -67,6 +72,7 @@ def replay(
         engine=engine,
         out=out,
         resume=resume,
+        passes=passes,
         max_memory=max_memory,
         rerun=rerun,
         images=images,
@@ -93,6 +99,9 @@ def print_result(data: tables.Data) -> None:
         ["ms", "mean", "median", "p95"],
         [[stage, *(figures[name] for name in ("mean", "median", "p95"))] for stage, figures in data["ms"].items()],
     )
+    for number, row in enumerate(data["passes"][:-1], 1):
+        digest = row["digests"]["map"]
+        print(f"after pass {number}: {row['voxels']} voxels, {row['instances']} instances, map digest {digest}")
     print("decisions  " + tables.cell(data["decisions"]))
     for name, digest in data["digests"].items():
         print(f"{name} digest {digest}")
