@@ -1,9 +1,10 @@
 """Speed and size of the mapper, as ratios: engines by stage, growth with the map, replay as a share of decoding.
 
-python tools/bench/speed.py recordings/living_demo.mcap [--tiles 1 8 80]
+python tools/bench/speed.py recordings/living_demo.mcap [--tiles 1 11 130] [--walls 3 30 300]
 
-The growing world is the recording again and again, each time 100 m further on; what is timed is always the first
-place, so that the frames and what they see stay the same and only the map around them grows.
+Engine "numpy" is the mapper over plain numpy (tools/bench/plain.py; masks are still painted by numba), to compare with.
+The growing world is the recording again and again, each time 100 m further on, or walls of a hundred things each; what
+is timed is always the first place, so that the frames and what they see stay the same and only the map around grows.
 """
 
 from __future__ import annotations
@@ -12,15 +13,17 @@ import argparse
 import importlib.util
 import itertools
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from plain import with_numpy
 
 from openvox.apps.replay import Stopwatch, replay, warm_up
+from openvox.core.digest import map_digest
 from openvox.core.mapper_parameters import OPENVOX
-from openvox.core.types import Frame, Mask, Pose
+from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
 from openvox.formats.perception import SUFFIX, read_masks
 from openvox.formats.recording import read_frames
 from openvox.mapper.mapper import Mapper
@@ -38,45 +41,49 @@ def timed(items: Items, mapper: Mapper, watch: Stopwatch) -> dict[str, np.ndarra
     return {**stages, "step": np.sum(list(stages.values()), axis=0)}
 
 
-def shifted(items: Items, metres: float, first: int) -> Items:
+def shifted(items: Items, metres: float) -> Items:
     out = []
-    for n, (frame, masks) in enumerate(items):
+    for frame, masks in items:
         x, y, z = frame.world_from_depth.translation
         pose = Pose(frame.world_from_depth.quaternion, (x + metres, y, z))
-        out.append((replace(frame, index=first + n, world_from_depth=pose), masks))
+        out.append((replace(frame, world_from_depth=pose), masks))
     return out
 
 
 def engines(items: Items) -> None:
-    print("| engine | " + " | ".join(f"{name} ms" for name in (*STAGES, "step")) + " | to cpu |\n" + "|---" * 7 + "|")
-    names = ["cpu", *(["torch"] if importlib.util.find_spec("torch") else [])]
-    reference = 0.0
-    for name in names:
-        warm_up(OPENVOX, name, print)
-        watch = Stopwatch()
-        found = timed(items, Mapper(OPENVOX, watch, name), watch)
-        median = float(np.median(found["step"]))
-        reference = reference or median
-        cells = [f"{np.median(found[stage]):.2f} / {np.percentile(found[stage], 95):.2f}" for stage in found]
-        print(f"| {name} | " + " | ".join(cells) + f" | {median / reference:.1f} |", flush=True)
-
-
-def growth(items: Items, tiles: Sequence[int]) -> None:
     print(
-        "\n| voxels | fragments | step ms, median / p95 | to the first | longest step | bytes a voxel |\n"
-        + "|---" * 6
+        "| engine | "
+        + " | ".join(f"{name} ms (to cpu)" for name in (*STAGES, "step"))
+        + " | map digest |\n"
+        + "|---" * 7
         + "|"
     )
+    names = ["cpu", "numpy", *(["torch"] if importlib.util.find_spec("torch") else [])]
+    first: dict[str, float] = {}
+    for name in names:
+        warm_up(OPENVOX, "cpu" if name == "numpy" else name, print)
+        watch = Stopwatch()
+        mapper = with_numpy(Mapper(OPENVOX, watch)) if name == "numpy" else Mapper(OPENVOX, watch, name)
+        found = timed(items, mapper, watch)
+        medians = {stage: float(np.median(times)) for stage, times in found.items()}
+        first = first or medians
+        cells = [
+            f"{medians[stage]:.2f} / {np.percentile(times, 95):.2f} ({medians[stage] / first[stage]:.1f})"
+            for stage, times in found.items()
+        ]
+        print(f"| {name} | " + " | ".join(cells) + f" | {map_digest(mapper.finish())[:10]} |", flush=True)
+
+
+def growth(places: Callable[[int], Items], again: Items, sizes: Sequence[int]) -> None:
+    """places: what is seen at each place; again: what is timed, at the first one. sizes: how many places."""
+    print("\n| voxels | fragments | step ms | to the first | longest step | bytes a voxel |\n" + "|---" * 6 + "|")
     watch = Stopwatch()
     mapper = Mapper(OPENVOX, watch)
     first, number, longest = 0.0, 0, 0.0
-    numbers = itertools.count()
-    for size in sorted(tiles):
+    for size in sorted(sizes):
         while number < size:
-            tile = shifted(items[:: 1 if number == 0 else 4], 100.0 * number, next(numbers) * len(items))
-            longest = max(longest, float(timed(tile, mapper, watch)["step"].max()))
+            longest = max(longest, float(timed(places(number), mapper, watch)["step"].max()))
             number += 1
-        again = shifted(items[1::3], 0.0, next(numbers) * len(items))
         found = timed(again, mapper, watch)["step"]
         median, voxels = float(np.median(found)), mapper.voxels
         first = first or median
@@ -85,6 +92,24 @@ def growth(items: Items, tiles: Sequence[int]) -> None:
             f"| {longest:.0f} | {mapper.bytes / voxels:.1f} |",
             flush=True,
         )
+
+
+def rooms(items: Items, sizes: Sequence[int]) -> None:
+    """The recording again and again; behind the first place every fourth frame is enough."""
+    growth(lambda n: shifted(items[:: 4 if n else 1], 100.0 * n), items[1::3], sizes)
+
+
+def walls(sizes: Sequence[int]) -> None:
+    """A wall of a hundred things a place, seen by a 1280x720 camera."""
+    camera = Intrinsics(1280, 720, 900.0, 900.0, 639.5, 359.5)
+    masks = []
+    for u, v in itertools.product(range(0, 1280, 128), range(0, 720, 72)):
+        bitmap = np.zeros((720, 1280), np.bool_)
+        bitmap[v : v + 72, u : u + 128] = True
+        masks.append(Mask.from_bitmap(bitmap))
+    depth = np.full((720, 1280), 2000, np.uint16)
+    frame = Frame(0, 0, Pose.identity(), Rig(camera, camera), depth)
+    growth(lambda n: shifted([(frame, tuple(masks))], 10.0 * n), [(frame, tuple(masks))] * 30, sizes)
 
 
 def end_to_end(recording: Path, out: Path) -> None:
@@ -100,14 +125,16 @@ def end_to_end(recording: Path, out: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("recording", type=Path, help="with its perception beside it")
-    parser.add_argument("--tiles", type=int, nargs="+", default=[1, 8, 80], help="visits to new places, for the growth")
+    parser.add_argument("--tiles", type=int, nargs="+", default=[1, 11, 130], help="places of the growing world")
+    parser.add_argument("--walls", type=int, nargs="+", default=[3, 30, 300], help="walls of the other growing world")
     parser.add_argument("--out", type=Path, default=Path("/tmp/openvox-bench"), help="stem for the map of the replay")
     arguments = parser.parse_args()
     known = {found.index: found.masks for found in read_masks(arguments.recording.with_suffix(SUFFIX))}
     items = [(frame, known[frame.index]) for frame in read_frames(arguments.recording, truth=False)]
     engines(items)
     end_to_end(arguments.recording, arguments.out)
-    growth(items, arguments.tiles)
+    rooms(items, arguments.tiles)
+    walls(arguments.walls)
 
 
 if __name__ == "__main__":
