@@ -329,6 +329,8 @@ class Twin:
         self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]
     ) -> None:
         """A mask that covers one fragment leaves another, which no mask holds, in view out: seen apart."""
+        if self.p.lifecycle.kinds and any(masks[m].kind == "region" for m in areas):
+            return
         common = [self.overlaps(voxels) for voxels in view.under]
         in_view = sum(common, self.overlaps(view.bare))
         held = {f for choice in choices for f in choice.held}
@@ -342,7 +344,6 @@ class Twin:
                 and in_view[f]
                 and 2 * common[m][f] >= in_view[f]
                 and 4 * common[m][g] < in_view[g]
-                and not (self.p.lifecycle.kinds and masks[m].kind == "region")
             ]
             if says:
                 self.apart[min(f, g), max(f, g)] += self.p.lifecycle.omission

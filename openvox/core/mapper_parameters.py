@@ -25,15 +25,15 @@ class MaskParameters:
         True, "", why="the smaller mask wins a pixel, and a voxel takes one label a frame: doubles must not vote twice"
     )
     erosion: int = parameter(
-        1,
+        0,
         "px",
         0,
         20,
         needs="masks.one_vote",
-        why="pixels this near to another label vote for nothing: rims are unsure",
+        why="pixels this near to another label vote for nothing; small things are all rim, so none by default",
     )
     step_margin: int = parameter(
-        2, "px", 0, 20, needs="masks.one_vote", why="pixels this near to a depth step (60 mm + 2 %) vote for nothing"
+        3, "px", 0, 20, needs="masks.one_vote", why="pixels this near to a depth step (60 mm + 2 %) vote for nothing"
     )
     disjoint: bool = parameter(
         False,

@@ -131,16 +131,15 @@ def count_omissions(
     """A mask that covers most of a fragment in view and leaves its neighbour in view out says that they are two things.
 
     Counted once a frame and pair, and only for a neighbour that no mask of the frame holds: a small thing is often
-    missed where the large one under it is found, so masks side by side would be too rare a proof. Regions prove
-    nothing: each may be a piece. columns (f,) fragment ids; overlap (masks + 1, f)."""
+    missed where the large one under it is found, so masks side by side would be too rare a proof. A frame with regions
+    proves nothing: what its masks leave out may be a piece. columns (f,) fragment ids; overlap (masks + 1, f)."""
+    if parameters.kinds and any(mask is not None and mask.kind == "region" for mask in masks):
+        return
     held = {f for one in associations for f in one.held}
     column = {f: c for c, f in enumerate(columns.tolist())}
     in_view = overlap.sum(0).tolist()
     pairs = set()
     for one in associations:
-        mask = masks[one.mask]
-        if mask is None or (mask.kind == "region" and parameters.kinds):
-            continue
         common = overlap[one.mask].tolist()
         covered = [f for f in sorted(one.held & column.keys()) if 2 * common[column[f]] >= in_view[column[f]]]
         for f, g in [(whole, left) for whole in covered for left in evidence.neighbours(whole)]:
