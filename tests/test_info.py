@@ -11,6 +11,7 @@ from maps import small_map
 from worlds import CAMERA, tiny_frames
 
 from openvox.apps.info import info, kind_of, parameters
+from openvox.cli.commands.info import print_file
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters
@@ -104,3 +105,46 @@ def test_all_parameters_are_listed_with_unit_range_and_reason() -> None:
     assert (row["default"], row["unit"], row["range"]) == (0.04, "m", "0.002 .. 1")
     assert all(row["why"] and row["range"] for row in rows)
     json.dumps(rows, allow_nan=False)
+
+
+def test_the_masks_of_a_perception_file_are_summed_up(recording: Path, tmp_path: Path, capsys) -> None:
+    path = tmp_path / "b.mcap"
+    stage = {"role": "enc", "name": "minilm", "parameters": {}, "model_digest": "ab"}
+    unit = np.ones(1, np.float32)
+
+    def mask(side: int, score: float, caption: str, named: bool = True) -> Mask:
+        bitmap = np.ones((side, side), np.bool_)
+        return Mask.from_bitmap(bitmap, score=score, caption_score=1.0, caption=caption, named=named, embedding=unit)
+
+    found = [
+        (mask(5, 0.31, "a cup"), mask(10, 0.3, "a cup"), mask(15, 0.59, "a grey object", named=False)),
+        (),
+        (mask(20, 1.0, "a cup"),),
+    ]
+    with PerceptionWriter(path, recording_info(recording), stages=[stage], encoder="minilm", dimensions=1) as writer:
+        for i, masks in enumerate(found):
+            writer.add(FrameMasks(i, 5 + i, "0" * 64, masks, (24, 32)))
+    data = info(path)
+    assert data["masks_a_frame"] == {"least": 0, "mean": 4 / 3, "most": 3}
+    assert (data["frames_without_masks"], data["named"], data["captions"]) == (1, 3, 2)
+    assert [(row["from"], row["masks"]) for row in data["scores"] if row["masks"]] == [(0.3, 2), (0.5, 1), (1.0, 1)]
+    assert data["scores"][1] == {"from": 0.4, "masks": 0}
+    assert [(row["from"], row["masks"]) for row in data["areas"]] == [(0, 1), (100, 2), (400, 1)]
+    assert data["most_common"] == [
+        {"caption": "a cup", "named": True, "masks": 3},
+        {"caption": "a grey object", "named": False, "masks": 1},
+    ]
+    print_file(data)
+    printed = capsys.readouterr().out
+    assert "  from      100         2  " + "#" * 40 + "\n" in printed
+    assert "a grey object" in printed
+
+
+def test_a_perception_file_without_masks_has_empty_histograms(recording: Path, tmp_path: Path, capsys) -> None:
+    path = tmp_path / "b.mcap"
+    with PerceptionWriter(path, recording_info(recording), stages=[], encoder="minilm", dimensions=1) as writer:
+        writer.add(FrameMasks(1, 5, "0" * 64, (), (24, 32)))
+    data = info(path)
+    assert (data["scores"], data["areas"], data["most_common"]) == ([], [], [])
+    print_file(data)
+    assert "areas\n" in capsys.readouterr().out

@@ -326,3 +326,19 @@ def test_another_place_of_the_same_file_does_not(tmp_path):
     for folder in ("a", "b"):
         graphs.looking_detector(tmp_path / folder / "d.onnx", words=2)
     assert yolo(tmp_path / "a").digest(frame) == yolo(tmp_path / "b").digest(frame)
+
+
+# Real weights: the one detector of these families that is here
+
+
+def test_the_detector_that_comes_with_openvox_finds_the_same_as_a_file_of_the_users(tmp_path, shared_data):
+    from openvox.perception.nanodet import FOLDER, NanoDet
+    from openvox.perception.parameters import OfflineParameters
+    from openvox.sources import open_source
+
+    (tmp_path / "d.onnx").write_bytes((FOLDER / "nanodet_g_416_fp16w.onnx").read_bytes())
+    detector, shipped = yolo(tmp_path, None, overlap=0.5), NanoDet(OfflineParameters())
+    frames = [frame for frame in open_source(shared_data / "dev_living", end=41).frames if frame.index % 20 == 0]
+    seen = [(shipped(frame), detector(frame)) for frame in frames]
+    assert sum(len(mine) for mine, _ in seen) >= 6
+    assert all(set(mine) <= set(theirs) for mine, theirs in seen)

@@ -211,6 +211,7 @@ def test_a_second_run_does_nothing_and_says_so(large, monkeypatch):
     second = perceive(large, frontend="geometry")
     assert calls == []
     assert (second.reused, second.frames, second.masks, second.digest) == (4, 4, first.masks, first.digest)
+    assert (first.untouched, second.untouched) == (False, True)
     assert (second.output.read_bytes(), second.output.stat().st_mtime_ns) == (data, changed)
     assert second.notes == ("large.perception.mcap holds all of that already; nothing was done",)
 

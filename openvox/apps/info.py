@@ -87,6 +87,7 @@ def _camera(camera: Intrinsics) -> dict[str, float]:
 
 
 def _perception(path: Path) -> dict[str, Any]:
+    from openvox.apps.masks_summary import masks_summary
     from openvox.formats.perception import perception_info
 
     found = perception_info(path)
@@ -100,6 +101,7 @@ def _perception(path: Path) -> dict[str, Any]:
         "recording": found.recording,
         "recording_digest": found.recording_digest,
         "stages": [dict(stage) for stage in found.stages],
+        **masks_summary(path),
         "openvox_version": found.metadata.get("openvox_version"),
         "format_version": found.metadata.get("format_version"),
     }

@@ -46,6 +46,8 @@ class PerceiveResult:
     """That were looked at."""
     reused: int
     """Of these, the frames that an earlier run had done in the same way."""
+    untouched: bool
+    """True if the file held all of it already and was left as it was."""
     masks: int
     kinds: Mapping[str, int]
     """Number of masks of each kind."""
@@ -116,6 +118,7 @@ def perceive(
         frontend=chosen.name,
         frames=written.frames,
         reused=reused,
+        untouched=found.complete,
         masks=written.masks,
         kinds=written.kinds,
         skipped=len(lacking),

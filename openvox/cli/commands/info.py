@@ -9,7 +9,11 @@ import typer
 
 from openvox.cli import options, tables
 
+HISTOGRAMS = ("scores", "caption_scores", "areas")
+BAR = 40
+"""Characters of the longest bar."""
 EXAMPLES = (
+    "openvox info living.perception.mcap",
     "openvox info living.mcap",
     "openvox info --parameters",
 )
@@ -30,7 +34,19 @@ def info(
     if file is None:
         tables.show(application.parameters(), json, print_parameters)
     else:
-        tables.show(application.info(file), json, tables.pairs)
+        tables.show(application.info(file), json, print_file)
+
+
+def print_file(data: tables.Data) -> None:
+    """Name and value, one a line; histograms of masks as bars."""
+    histograms = {key: data[key] for key in HISTOGRAMS if key in data}
+    tables.pairs({key: value for key, value in data.items() if key not in histograms})
+    for name, rows in histograms.items():
+        print(name.replace("_", " "))
+        most = max((row["masks"] for row in rows), default=0)
+        for row in rows:
+            bar = "#" * -(-row["masks"] * BAR // most)
+            print(f"  from {row['from']:>8g}  {row['masks']:>8}  {bar}".rstrip())
 
 
 def print_parameters(data: tables.Data) -> None:

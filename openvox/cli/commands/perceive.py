@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +10,6 @@ import typer
 
 from openvox.cli import options, tables
 from openvox.cli.progress import progress
-from openvox.core.errors import OpenvoxError
 
 EXAMPLES = (
     "openvox perceive living.mcap",
@@ -43,49 +41,56 @@ def perceive(
     end: options.End = None,
     stride: options.Stride = 1,
     jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Threads, by default one a core; the result is the same.")
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Recordings, or frames of one, at a time; by default one a core. The result is the same.",
+        ),
     ] = None,
     json: options.Json = False,
 ) -> None:
     """Find masks, captions and embeddings in every frame.
 
-    Once: what an earlier run did on the same frames in the same way is not done again. With several recordings one
-    that fails does not stop the others; then the exit code is 3.
+    Once: what an earlier run did on the same frames in the same way is not done again. Several recordings are done
+    side by side; one that fails does not stop the others, and then the exit code is 3.
     """
     if len(recordings) > 1 and (out or detections):
         raise typer.BadParameter("--out and --detections belong to one recording; give one")
+    options_of_all: dict[str, Any] = {
+        "frontend": frontend,
+        "models": models,
+        "assignments": assignments or [],
+        "start": start,
+        "end": end,
+        "stride": stride,
+        "jobs": jobs,
+    }
+    if len(recordings) > 1:
+        _several(recordings, options_of_all, json)
+        return
     from openvox.apps import perceive as application
 
-    def work(recording: Path) -> Any:
-        return application.perceive(
-            recording,
-            frontend=frontend,
-            models=models,
-            detections=detections,
-            out=out,
-            assignments=assignments or [],
-            start=start,
-            end=end,
-            stride=stride,
-            jobs=jobs,
-            progress=progress("perceiving"),
-        )
+    result = application.perceive(
+        recordings[0], detections=detections, out=out, progress=progress("perceiving"), **options_of_all
+    )
+    other: tuple[str | Path, ...] = ("--perception", out) if out else ()
+    tables.show(result, json, print_result, "openvox", "replay", recordings[0], *other)
 
-    if len(recordings) == 1:
-        other: tuple[str | Path, ...] = ("--perception", out) if out else ()
-        tables.show(work(recordings[0]), json, print_result, "openvox", "replay", recordings[0], *other)
-        return
-    results = [_attempt(recording, work) for recording in recordings]
+
+def _several(recordings: list[Path], options_of_all: dict[str, Any], json: bool) -> None:
+    from openvox.apps import perceive_several as application
+
+    found = application.perceive_several(
+        recordings, progress=progress("perceiving", unit="recordings"), **options_of_all
+    )
+    results = [
+        {"recording": str(recording), **({"error": result} if isinstance(result, str) else tables.plain(result))}
+        for recording, result in zip(recordings, found, strict=True)
+    ]
     tables.show({"recordings": results}, json, print_several)
     if any("error" in result for result in results):
         raise typer.Exit(3)
-
-
-def _attempt(recording: Path, work: Callable[[Path], Any]) -> dict[str, Any]:
-    try:
-        return {"recording": str(recording), **tables.plain(work(recording))}
-    except OpenvoxError as error:
-        return {"recording": str(recording), "error": str(error)}
 
 
 def print_result(data: tables.Data) -> None:
@@ -98,7 +103,8 @@ def print_result(data: tables.Data) -> None:
         f"models {data['device']}"
     )
     tables.notes(data)
-    tables.wrote(data["output"])
+    if not data["untouched"]:
+        tables.wrote(data["output"])
 
 
 def print_several(data: tables.Data) -> None:

@@ -1,0 +1,53 @@
+"""perceive on several recordings: side by side, one that fails costs no other and leaves nothing half-written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from test_perceive import record
+from worlds import tiny_frames
+
+from openvox.apps.perceive import PerceiveResult, perceive
+from openvox.apps.perceive_several import perceive_several
+from openvox.core.errors import InputError
+
+
+def test_each_recording_has_its_result_or_its_error_in_the_order_they_were_given(tmp_path: Path):
+    first, blind, last = (
+        record(tmp_path / "first.mcap", tiny_frames(3)),
+        record(tmp_path / "blind.mcap", tiny_frames(2, truth=False)),
+        record(tmp_path / "last.mcap", tiny_frames(2)),
+    )
+    damaged = tmp_path / "damaged.mcap"
+    data = bytearray(first.read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    done: list[tuple[int, int]] = []
+    found = perceive_several(
+        [first, blind, damaged, last], jobs=2, frontend="oracle", progress=lambda *now: done.append(now)
+    )
+    a, b, c, d = found
+    assert isinstance(a, PerceiveResult)
+    assert isinstance(d, PerceiveResult)
+    assert (a.frames, d.frames) == (3, 2)
+    assert "blind.mcap has no ground truth" in str(b)
+    assert "damaged.mcap is damaged" in str(c)
+    assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert sorted(path.name for path in tmp_path.glob("*.perception.mcap*")) == [
+        "first.perception.mcap",
+        "last.perception.mcap",
+    ]
+    alone = perceive(first, frontend="oracle", out=tmp_path / "alone.mcap")
+    assert alone.output.read_bytes() == a.output.read_bytes()
+
+
+def test_one_recording_twice_would_write_over_itself(tmp_path: Path):
+    path = record(tmp_path / "a.mcap", tiny_frames(1))
+    with pytest.raises(InputError, match=r"a.mcap is given twice; give it once"):
+        perceive_several([path, tmp_path / "." / "a.mcap"], frontend="oracle")
+
+
+def test_no_jobs_are_a_sentence(tmp_path: Path):
+    with pytest.raises(InputError, match=r"--jobs is 0; expected 1 or more"):
+        perceive_several([tmp_path / "a", tmp_path / "b"], jobs=0)
