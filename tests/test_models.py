@@ -12,6 +12,8 @@ from test_perceive import LARGE, count_calls, record
 from worlds import tiny_frames
 
 from openvox.apps.perceive import perceive
+from openvox.apps.query import query
+from openvox.apps.replay import replay
 from openvox.core.errors import InputError
 from openvox.formats.perception import perception_info, read_masks
 from openvox.perception.det.yolo import Yolo
@@ -174,6 +176,20 @@ def test_a_parameter_of_a_stage_that_is_not_chosen_is_a_sentence(recording, mode
         perceive(recording, models=models, assignments=["geometry.far=3"])
 
 
+def test_a_map_is_asked_with_the_encoder_of_the_same_file(recording, models, tmp_path):
+    written(models.parent, '[det]\nstage = "truth"\n[segcap]\nstage = "truth"\n' + ALL[ALL.index("[enc]") :])
+    perceive(recording, models=models)
+    made = Path(replay(recording)["outputs"]["map"])
+    answer = query(made, ["a cup"], models=models)["queries"][0]["answers"][0]
+    assert {"caption", "score"} <= answer.keys()
+    with pytest.raises(InputError, match=r"cannot be asked in words: there is no encoder 'mine' .*--models FILE.toml"):
+        query(made, ["a cup"])
+    with pytest.raises(
+        InputError, match=r"the map's features are those of mine, .*my.toml names minilm; give the file"
+    ):
+        query(made, ["a cup"], models=written(models.parent, ""))
+
+
 def test_the_command_says_what_the_models_ran_on(recording, models, capsys):
     from openvox.cli import main
 
@@ -181,3 +197,36 @@ def test_the_command_says_what_the_models_ran_on(recording, models, capsys):
         main(["perceive", str(recording), "--frontend", "models", "--models", str(models)])
     assert not left.value.code
     assert "captions encoded by mine, models on the CPU" in capsys.readouterr().out
+
+
+class Placed:
+    """A stage that says where it ran."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+
+
+def test_what_ran_on_a_gpu_is_said_in_one_line():
+    from openvox.perception.pipeline import Pipeline
+
+    cpu, gpu = Placed("CPU"), Placed("CUDA")
+    assert Pipeline(cpu, cpu, object()).device == "on the CPU"  # type: ignore[arg-type]
+    assert Pipeline(gpu, gpu, cpu).device == "det on the GPU (CUDA), segcap on the GPU (CUDA), the rest on the CPU"  # type: ignore[arg-type]
+
+
+def test_a_gpu_is_tried_first_where_there_is_one(models, monkeypatch):
+    import onnxruntime
+
+    from openvox.perception.onnx import CPU, Model
+
+    asked: list[list[str]] = []
+    original = onnxruntime.InferenceSession
+
+    def session(file: Path, settings: Any, providers: list[str]) -> Any:
+        asked.append(providers)
+        return original(file, settings, providers=[CPU])
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [CPU, "CUDAExecutionProvider", "Other"])
+    assert Model.of_user(models.parent / "det.onnx").device == "CPU"  # what it fell back to
+    assert asked == [["CUDAExecutionProvider", CPU]]

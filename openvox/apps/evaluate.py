@@ -30,12 +30,14 @@ def evaluate(
     truth: Path,
     queries: Path | None = None,
     classes: Path | None = None,
+    models: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Every measure of the map, by the names that docs/evaluation.md explains; None where the truth has nothing.
 
     truth: a folder with gt_points.npz, or a recording with truth pictures. queries: instead of the truth's
-    queries.json. classes: names, one a line, instead of the truth's categories. Raises InputError.
+    queries.json. classes: names, one a line, instead of the truth's categories. models: as in apps.query.
+    Raises InputError.
     """
     result = read_map(map_file)
     names = None if classes is None else read_classes(classes)
@@ -47,7 +49,7 @@ def evaluate(
     reached = (known.instance > 0) & (labels > 0)
     perception, no_perception = perception_of(map_file, result.meta)
     rendered = score_rendered(result, truth, perception, progress)
-    encoder, no_encoder = _encoder(result)
+    encoder, no_encoder = _encoder(result, models)
     return {
         "instances": _figures(scores),
         "instances_in_voxel": _figures(score_instances(known.instance, labels_of_rows(inside, result), confidence)),
@@ -94,10 +96,10 @@ def _confidence(rows: NDArray[np.int64], result: InstanceMap) -> NDArray[np.floa
     return np.append(result.voxel_confidence, np.float32(0))[rows].astype(np.float64)
 
 
-def _encoder(result: InstanceMap) -> tuple[Encoder | None, str]:
+def _encoder(result: InstanceMap, models: Path | None) -> tuple[Encoder | None, str]:
     """What turns words into vectors like the map's features; else why there is none, in words."""
     try:
-        return encoder_of(result), ""
+        return encoder_of(result, models), ""
     except InputError as error:
         return None, str(error)
 

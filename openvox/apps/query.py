@@ -17,11 +17,12 @@ FITS = 0.4
 FIELDS = ("instance", "caption", "score", "center", "bounds", "voxels")
 
 
-def query(map_file: Path, texts: Sequence[str], *, top: int = 3) -> dict[str, Any]:
+def query(map_file: Path, texts: Sequence[str], *, top: int = 3, models: Path | None = None) -> dict[str, Any]:
     """The `top` best instances for each text, by likeness to what was said of them, the lower id among equals.
 
     `found` is false where even the best fits too little, or the map has no instances; the nearest are given all the
-    same. Lengths in metres. Raises InputError.
+    same. models: the TOML file that `perceive` had, if its encoder is none of openvox. Lengths in metres.
+    Raises InputError.
     """
     if top < 1:
         raise InputError(f"--top is {top}; expected 1 or more")
@@ -30,7 +31,7 @@ def query(map_file: Path, texts: Sequence[str], *, top: int = 3) -> dict[str, An
             raise InputError("a text to look for is empty; say in words what you look for")
     result = read_map(map_file)
     try:
-        scores = likeness(result, encoder_of(result), texts)
+        scores = likeness(result, encoder_of(result, models), texts)
     except InputError as error:
         raise InputError(f"{map_file} cannot be asked in words: {error}") from None
     instances = described(result)

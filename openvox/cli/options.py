@@ -21,6 +21,10 @@ Engine = Annotated[
     Literal["cpu", "torch"],
     typer.Option(help="What computes; torch wants its extra and takes a GPU if there is one. The bytes are the same."),
 ]
+AskingModels = Annotated[
+    Path | None,
+    typer.Option("--models", metavar="FILE.toml", help="The models of perceive, if the encoder was one of your own."),
+]
 Recording = Annotated[Path, typer.Argument(metavar="REC.mcap", help="A recording made by ingest.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map made by replay, STEM.map.npz.")]
 

@@ -28,10 +28,10 @@ class Texts(Protocol):
 
 
 class CaptionEncoder:
-    """A sentence encoder as a stage. parameters: what else its vectors depend on."""
+    """A sentence encoder as a stage. `texts`: the encoder. parameters: what else its vectors depend on."""
 
     def __init__(self, encoder: Texts, parameters: Mapping[str, Value] | None = None) -> None:
-        self._encoder = encoder
+        self.texts = encoder
         self.name = encoder.name
         self.dimensions = encoder.dimensions
         self.model_digest = encoder.model_digest
@@ -45,4 +45,4 @@ class CaptionEncoder:
 
     def __call__(self, frame: Frame, masks: Sequence[Mask]) -> NDArray[np.float32]:
         """(len(masks), dimensions); a mask without a caption is known by its label."""
-        return self._encoder.encode([mask.caption or mask.label for mask in masks])
+        return self.texts.encode([mask.caption or mask.label for mask in masks])

@@ -24,7 +24,8 @@ def encoder(name: str) -> TextEncoder:
     """The encoder of that name, loaded once a process. Raises InputError if there is none."""
     if name not in ENCODERS:
         raise InputError(
-            f"there is no encoder {name!r} here to put texts into numbers with; known: {', '.join(ENCODERS)}"
+            f"there is no encoder {name!r} here to put texts into numbers with; known: {', '.join(ENCODERS)}; "
+            "one of your own is named by --models FILE.toml"
         )
     return TextEncoder(name, ENCODERS[name])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from openvox.core.errors import InputError
+from openvox.formats.recording import RecordingInfo
 from openvox.perception.captions import CaptionEncoder
 from openvox.perception.stage import Detector, Encoder, Segmenter
 from openvox.perception.stages import Setting
@@ -34,7 +35,7 @@ def geometry(_: None, setting: Setting) -> Segmenter:
     from openvox.perception.geometry import Geometry, room_of
 
     chosen = setting.parameters.geometry
-    return Geometry(chosen, room_of(setting.recording, chosen))
+    return Geometry(chosen, room_of(_recording(setting), chosen))
 
 
 def offline(_: None, setting: Setting) -> Segmenter:
@@ -43,7 +44,7 @@ def offline(_: None, setting: Setting) -> Segmenter:
     from openvox.perception.offline import Offline
 
     chosen = setting.parameters.geometry
-    return Offline(chosen, setting.parameters.offline, room_of(setting.recording, chosen))
+    return Offline(chosen, setting.parameters.offline, room_of(_recording(setting), chosen))
 
 
 def truth_masks(_: None, setting: Setting) -> Segmenter:
@@ -60,10 +61,16 @@ def minilm(_: None, setting: Setting) -> Encoder:
     return CaptionEncoder(encoder("minilm"))
 
 
+def _recording(setting: Setting) -> RecordingInfo:
+    assert setting.recording is not None, "only encoders are made without one"
+    return setting.recording
+
+
 def _categories(setting: Setting) -> dict[int, str]:
-    if not setting.recording.has_truth:
+    recording = _recording(setting)
+    if not recording.has_truth:
         raise InputError(
-            f"{setting.recording.path} has no ground truth, which {setting.asked_by} takes its masks from; "
+            f"{recording.path} has no ground truth, which {setting.asked_by} takes its masks from; "
             "use --frontend offline or --detections FILE"
         )
-    return dict(setting.recording.categories)
+    return dict(recording.categories)

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 from openvox.core.errors import InputError
 from openvox.core.parameters import Value, from_toml, updated
 from openvox.formats.recording import RecordingInfo
+from openvox.perception.captions import Texts
 from openvox.perception.parameters import PerceptionParameters
 from openvox.perception.pipeline import Pipeline
 
@@ -78,7 +79,8 @@ class Chosen:
 class Setting:
     """What a stage may ask about when it is made."""
 
-    recording: RecordingInfo
+    recording: RecordingInfo | None
+    """None where only an encoder is made, to ask a map."""
     parameters: PerceptionParameters
     asked_by: str
     root: Path
@@ -135,6 +137,17 @@ def pipeline_of(chosen: Chosen, recording: RecordingInfo, parameters: Perception
     setting = Setting(recording, parameters, chosen.asked_by, chosen.folder)
     det, segcap, enc = (_made(role, chosen, setting) for role in STAGES)
     return Pipeline(det, segcap, enc)
+
+
+def encoder_to_ask(chosen: Chosen) -> Texts:
+    """The sentence encoder of [enc] alone, for what a map is asked. Raises InputError."""
+    made = _made("enc", chosen, Setting(None, PerceptionParameters(), chosen.asked_by, chosen.folder))
+    texts: Texts | None = getattr(made, "texts", None)
+    if texts is None:
+        raise InputError(
+            f"{chosen.asked_by}: [enc] {chosen.names['enc']} takes no texts, so that a map cannot be asked"
+        )
+    return texts
 
 
 def _made(role: str, chosen: Chosen, setting: Setting) -> Any:

@@ -23,6 +23,7 @@ def evaluate(
     classes: Annotated[
         Path | None, typer.Option(metavar="FILE", help="One name a line, in place of the truth's categories.")
     ] = None,
+    models: options.AskingModels = None,
     json: options.Json = False,
 ) -> None:
     """Score a map against ground truth.
@@ -33,7 +34,7 @@ def evaluate(
     from openvox.apps import evaluate as application
 
     result = application.evaluate(
-        map_file, truth=truth, queries=queries, classes=classes, progress=progress("rendering")
+        map_file, truth=truth, queries=queries, classes=classes, models=models, progress=progress("rendering")
     )
     tables.show(result, json, print_result, "openvox", "query", map_file, "somewhere to sit")
 

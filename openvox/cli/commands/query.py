@@ -15,13 +15,20 @@ def query(
     map_file: options.MapFile,
     text: Annotated[list[str], typer.Argument(metavar="TEXT...", help="What you look for, in words.")],
     top: Annotated[int, typer.Option(min=1, metavar="K", help="Answers a text.")] = 3,
+    models: options.AskingModels = None,
     json: options.Json = False,
 ) -> None:
     """Ask a map in words: what fits best, and where it is."""
     from openvox.apps import query as application
 
     tables.show(
-        application.query(map_file, text, top=top), json, print_result, "openvox", "export", map_file, "map.ply"
+        application.query(map_file, text, top=top, models=models),
+        json,
+        print_result,
+        "openvox",
+        "export",
+        map_file,
+        "map.ply",
     )
 
 
