@@ -298,3 +298,16 @@ def test_without_the_authors_package_tap_is_a_sentence(tmp_path, monkeypatch):
         InputError, match=r"tap needs the packages tokenize-anything, torch and flash-attn .* stage sam"
     ):
         Tap(TapOptions(weights="w.pt"), setting(tmp_path))
+
+
+def test_an_input_of_a_type_that_these_models_do_not_have_is_a_sentence(tmp_path):
+    from onnx import TensorProto
+
+    shape = ["h", "w", 3]
+    inputs, outputs = ([graphs._value(name, shape, TensorProto.UINT8)] for name in ("input_image", "image_embeddings"))
+    graphs._model(tmp_path / "e.onnx", inputs, outputs, [graphs.op("Identity", "input_image", "image_embeddings")])
+    graphs.sam_decoder(tmp_path / "d.onnx")
+    with pytest.raises(
+        InputError, match=r"input_image uint8\[\?,\?,3\].* expected inputs of type float, float16, int32"
+    ):
+        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path))

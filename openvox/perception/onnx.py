@@ -88,7 +88,11 @@ class Model:
         return found
 
     def run_all(self, values: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """All outputs by name. values: of at least the inputs, each brought to the type that the input has."""
+        """All outputs by name. values: of at least the inputs, each brought to the type that the input has.
+
+        Raises InputError, also for an input of another type than these models have."""
+        if not {kind for kind, _ in self.inputs.values()} <= TYPES.keys():
+            raise self.refused("inputs of type float, float16, int32 or int64")
         inputs = {name: values[name].astype(TYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
         return dict(zip(self.outputs, self.run(list(self.outputs), **inputs), strict=True))
 
