@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -43,10 +44,21 @@ def test_neither_hash_seed_nor_threads_nor_watching_changes_a_bit(tmp_path: Path
     assert watched == GOLDEN["openvox"]
 
 
-def test_without_a_folder_for_compiled_kernels_the_run_says_so_and_gives_the_same(tmp_path: Path) -> None:
-    source = "import numba.core.caching as c; c.CacheImpl._locator_classes = []; from openvox.cli import main; main()"
-    command = ["replay", str(RECORDING), "--end", "4", "--out", str(tmp_path / "run"), "--json"]
-    done = subprocess.run([sys.executable, "-c", source, *command], capture_output=True, text=True)
+def test_an_install_that_cannot_be_written_compiles_every_time_says_so_and_gives_the_same(tmp_path: Path) -> None:
+    package, home = tmp_path / "site" / "openvox", tmp_path / "home"
+    shutil.copytree(ROOT / "openvox", package, ignore=shutil.ignore_patterns("__pycache__", "models"))
+    home.mkdir()
+    for folder in (*(path for path in (package, *package.rglob("*")) if path.is_dir()), home):
+        (folder / ("__pycache__" if folder != home else ".cache")).touch()  # no folder can be made, by root neither
+        folder.chmod(0o555)
+    command = ["-m", "openvox", "replay", str(RECORDING), "--end", "4", "--out", str(tmp_path / "run"), "--json"]
+    places = {"PYTHONPATH": str(package.parent), "HOME": str(home), "XDG_CACHE_HOME": str(home / ".cache")}
+    environment = {**{name: os.environ[name] for name in os.environ if name != "NUMBA_CACHE_DIR"}, **places}
+    done = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, cwd=package.parent, env=environment
+    )
+    for folder in (home, *package.rglob("*"), package):
+        folder.chmod(0o755)  # so that pytest can clear up
     assert done.returncode == 0, done.stderr
     assert "no folder to keep the compiled kernels in" in done.stderr
     assert "Traceback" not in done.stderr

@@ -34,6 +34,19 @@ def test_a_voxel_under_a_thousand_masks_keeps_a_thousand_ids(engine: str) -> Non
     assert {candidate.s_geo for candidate in step.decisions[0].candidates} == {2**20 // 1000}
 
 
+@ENGINES
+def test_two_million_voxels_in_one_frame(engine: str) -> None:
+    camera = Intrinsics(1920, 1080, 900.0, 900.0, 959.5, 539.5)
+    fine = {"map.voxel_size": 0.002, "masks.erosion": 0, "masks.step_margin": 0}
+    mapper = Mapper(updated(OPENVOX, fine, source="test"), engine=engine)
+    step = mapper.step(wall(0, 4000, rig=Rig(camera, camera)), (rectangle(0, 0, 960, 1080, camera),))
+    assert step.voxels == mapper.voxels == 1920 * 1080
+    assert step.decisions[0].voxels == 960 * 1080
+    fragments, counts = np.unique(np.stack([step.changes.fragment, step.changes.count]), axis=1, return_counts=True)
+    assert fragments.tolist() == [[0, 1], [1, 2]]  # one half vote for background, two for the mask
+    assert counts.tolist() == [960 * 1080, 960 * 1080]
+
+
 def grid() -> tuple[Mask, ...]:
     """A hundred masks of 128 x 72 pixels."""
     cells = ((u, v) for u in range(0, 1280, 128) for v in range(0, 720, 72))
