@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
@@ -23,7 +24,11 @@ def run(
     frames: Iterable[tuple[Frame, Sequence[Mask] | None]], mapper: Mapper, observers: Sequence[Observer] = ()
 ) -> None:
     """Map frames in the order of their stamps; masks are None where perception did not look."""
-    for frame, masks in frames:
-        step = mapper.step(frame, masks)
-        for observer in observers:
-            observer.on_step(step)
+    gc.freeze()  # looking through all that is loaded for garbage would take longer than some frames
+    try:
+        for frame, masks in frames:
+            step = mapper.step(frame, masks)
+            for observer in observers:
+                observer.on_step(step)
+    finally:
+        gc.unfreeze()

@@ -2,6 +2,7 @@
 
 python tools/bench/speed.py recordings/living_demo.mcap [--tiles 1 11 130] [--walls 3 30 300]
 
+Times are CPU time of the mapping thread, so that other work on the machine counts little; that of replay is both.
 Engine "numpy" is the mapper over plain numpy (tools/bench/plain.py; masks are still painted by numba), to compare with.
 The growing world is the recording again and again, each time 100 m further on, or walls of a hundred things each; what
 is timed is always the first place, so that the frames and what they see stay the same and only the map around grows.
@@ -10,6 +11,7 @@ is timed is always the first place, so that the frames and what they see stay th
 from __future__ import annotations
 
 import argparse
+import gc
 import importlib.util
 import itertools
 import time
@@ -20,7 +22,7 @@ from pathlib import Path
 import numpy as np
 from plain import with_numpy
 
-from openvox.apps.replay import Stopwatch, replay, warm_up
+from openvox.apps.replay import replay, warm_up
 from openvox.core.digest import map_digest
 from openvox.core.mapper_parameters import OPENVOX
 from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
@@ -32,7 +34,21 @@ STAGES = ("masks", "project", "associate", "evolve")
 Items = Sequence[tuple[Frame, tuple[Mask, ...]]]
 
 
-def timed(items: Items, mapper: Mapper, watch: Stopwatch) -> dict[str, np.ndarray]:
+class CpuWatch:
+    """CPU milliseconds of every stage and frame."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, list[float]] = {}
+        self._stage, self._begin = "", 0.0
+
+    def lap(self, stage: str) -> None:
+        now = time.thread_time()
+        if self._stage:
+            self.times.setdefault(self._stage, []).append(1000 * (now - self._begin))
+        self._stage, self._begin = stage, now
+
+
+def timed(items: Items, mapper: Mapper, watch: CpuWatch) -> dict[str, np.ndarray]:
     """Milliseconds of each stage and of whole steps, one a frame."""
     watch.times = {}
     for frame, masks in items:
@@ -62,7 +78,7 @@ def engines(items: Items) -> None:
     first: dict[str, float] = {}
     for name in names:
         warm_up(OPENVOX, "cpu" if name == "numpy" else name, print)
-        watch = Stopwatch()
+        watch = CpuWatch()
         mapper = with_numpy(Mapper(OPENVOX, watch)) if name == "numpy" else Mapper(OPENVOX, watch, name)
         found = timed(items, mapper, watch)
         medians = {stage: float(np.median(times)) for stage, times in found.items()}
@@ -76,8 +92,9 @@ def engines(items: Items) -> None:
 
 def growth(places: Callable[[int], Items], again: Items, sizes: Sequence[int]) -> None:
     """places: what is seen at each place; again: what is timed, at the first one. sizes: how many places."""
+    gc.freeze()  # as apps.loop does
     print("\n| voxels | fragments | step ms | to the first | longest step | bytes a voxel |\n" + "|---" * 6 + "|")
-    watch = Stopwatch()
+    watch = CpuWatch()
     mapper = Mapper(OPENVOX, watch)
     first, number, longest = 0.0, 0, 0.0
     for size in sorted(sizes):
@@ -113,13 +130,20 @@ def walls(sizes: Sequence[int]) -> None:
 
 
 def end_to_end(recording: Path, out: Path) -> None:
-    begin = time.perf_counter()
+    wall, cpu = time.perf_counter(), time.process_time()
     frames = sum(1 for _ in read_frames(recording, truth=False))
     masks = sum(1 for _ in read_masks(recording.with_suffix(SUFFIX)))
-    decoding = time.perf_counter() - begin
-    seconds = replay(recording, out=str(out))["seconds"]
-    speed, share = frames / seconds, seconds / decoding
-    print(f"\nreplay of {frames} frames ({masks} with masks): {speed:.0f} frames/s, {share:.2f} x decoding alone")
+    alone = time.perf_counter() - wall, time.process_time() - cpu
+    warm_up(OPENVOX, "cpu", print)
+    wall, cpu, own = time.perf_counter(), time.process_time(), time.thread_time()
+    replay(recording, out=str(out))
+    wall, cpu, own = time.perf_counter() - wall, time.process_time() - cpu, time.thread_time() - own
+    print(
+        f"\nreplay of {frames} frames ({masks} with masks): {frames / wall:.0f} frames/s, "
+        f"{wall / alone[0]:.1f} x decoding alone; "
+        f"CPU {1000 * cpu / frames:.1f} ms a frame, {cpu / alone[1]:.1f} x decoding alone, "
+        f"{own / cpu:.2f} of it in the mapping thread"
+    )
 
 
 def main() -> None:
@@ -131,6 +155,7 @@ def main() -> None:
     arguments = parser.parse_args()
     known = {found.index: found.masks for found in read_masks(arguments.recording.with_suffix(SUFFIX))}
     items = [(frame, known[frame.index]) for frame in read_frames(arguments.recording, truth=False)]
+    gc.freeze()
     engines(items)
     end_to_end(arguments.recording, arguments.out)
     rooms(items, arguments.tiles)
