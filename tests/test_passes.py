@@ -124,9 +124,10 @@ def test_the_trace_is_of_the_last_pass_and_rebuilds_its_votes(recording: Path) -
     assert explain(trace, frame=0, mask=0)
 
 
-def test_a_map_of_two_passes_can_be_resumed(recording: Path) -> None:
-    half = replayed(recording, "half", passes=2, end=2)
-    rest = replayed(recording, "rest", resume=Path(half["outputs"]["map"]))
+def test_a_map_of_two_passes_can_be_watched_and_resumed(recording: Path) -> None:
+    half = replayed(recording, "half", passes=2, end=2, rerun=recording.with_name("half.rrd"))
+    rest = replayed(recording, "rest", resume=Path(half["outputs"]["map"]), rerun=recording.with_name("rest.rrd"))
+    assert all(recording.with_name(name).exists() for name in ("half.rrd", "rest.rrd"))
     assert rest["frames"] == 2
     assert len(rest["passes"]) == 1
 

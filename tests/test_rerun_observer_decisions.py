@@ -167,11 +167,10 @@ def test_an_observer_of_a_resumed_run_knows_what_one_of_the_whole_run_knows() ->
     frames = tiny_frames(4)
     for frame in frames[:2]:
         whole.apply(mapper.step(frame, tuple(truth_masks(frame))))
-    resumed = LiveMap.beginning_with(mapper.finish())
+    second, resumed = Mapper.resumed(mapper.finish(), preset("openvox")), LiveMap()
     for frame in frames[2:]:
-        step = mapper.step(frame, tuple(truth_masks(frame)))
-        whole.apply(step)
-        resumed.apply(step)
+        whole.apply(mapper.step(frame, tuple(truth_masks(frame))))
+        resumed.apply(second.step(frame, tuple(truth_masks(frame))))
         assert known(resumed) == known(whole)
     result = mapper.finish()
     entropies = dict(zip(map(tuple, result.voxel_index.tolist()), finished_entropies(result).tolist(), strict=True))

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.core.types import InstanceMap, Step, VoxelChanges
+from openvox.core.types import Step, VoxelChanges
 from openvox.core.voxels import voxel_index, voxel_key
 from openvox.view.votes import Votes
 
@@ -43,29 +43,6 @@ class LiveMap:
         self.instance_of = np.zeros(1, np.int32)
         """Instance of every fragment, by id."""
         self._fragments: dict[int, list[int]] = {}
-
-    @classmethod
-    def beginning_with(cls, earlier: InstanceMap) -> Self:
-        """As a run leaves it that ended with this map; the next step says to which instances fragments belong."""
-        live = cls()
-        keys = earlier.state["key"]
-        order = np.argsort(keys)
-        number = order[np.searchsorted(keys[order], voxel_key(earlier.voxel_index.astype(np.int64)))]
-        row = np.repeat(number, np.diff(earlier.vote_offset))
-        fragment, count = earlier.vote_fragment.astype(np.int64), earlier.vote_count
-        live.votes.add(row, earlier.vote_fragment, count)
-        background, best = np.zeros(len(keys), np.int64), np.zeros(len(keys), np.int64)
-        named = fragment > 0
-        background[row[fragment == 0]] = count[fragment == 0]
-        rank = (count.astype(np.int64) << 32) | (0xFFFFFFFF - fragment)  # the lowest id on a tie
-        np.maximum.at(best, row[named], rank[named])
-        owner = np.where(best >> 32 > background, 0xFFFFFFFF - (best & 0xFFFFFFFF), 0).astype(np.int32)
-        live.size, live._key, live._owner = len(keys), keys.astype(np.int64), owner
-        by_owner = np.argsort(owner, kind="stable")
-        owners, first = np.unique(owner[by_owner], return_index=True)
-        live._members = dict(zip(owners.tolist(), np.split(by_owner, first[1:]), strict=True)) if len(keys) else {}
-        live._members.pop(0, None)
-        return live
 
     def index_of(self, rows: Rows) -> NDArray[np.int32]:
         """(n, 3): floor(world / voxel_size) of these voxels."""
@@ -101,7 +78,7 @@ class LiveMap:
         return self.votes.look(rows, self.instances_of(rows), self.instance_of)
 
     def apply(self, step: Step) -> Change:
-        """Take over what a step changed; steps come in order, from the first."""
+        """Take over what a step changed; steps come in order. The first one of a resumed map tells all of it."""
         changes = step.changes
         self._grow(changes)
         self.votes.apply(changes)

@@ -43,8 +43,8 @@ class RerunObserver:
 
     voxel_size: metres. images: "none", "jpeg" (colour as JPEG, no depth) or "all". every: draw the map and log pictures
     at each so many-th step only; decisions, events and statistics are logged at all. camera: False where steps come
-    without true poses: neither camera nor pictures are logged. earlier: the map that the run goes
-    on from (`replay --resume`). stages: asked after each step for the milliseconds of each stage, always the same ones.
+    without true poses: neither camera nor pictures are logged. earlier: the map that the run goes on from, whose voxels
+    the first step tells. stages: asked after each step for the milliseconds of each stage, always the same ones.
     Use it as a context manager: leaving it before `close` aborts. Raises OutputError where the file cannot be written.
 
     Steps may be rebuilt from a trace. Read of a step: frame.index and stamp_ns; looked; decisions and their masks'
@@ -65,7 +65,7 @@ class RerunObserver:
     ) -> None:
         self.milliseconds: list[float] = []
         self._every, self._stages, self._steps = every, stages, 0
-        self._map = LiveMap.beginning_with(earlier) if earlier else LiveMap()
+        self._map = LiveMap()
         self._captions, self._lives = Captions(earlier), Lives(earlier)
         self._camera: Frame | None = None  # the last one with a true pose
         self._frame: Frame | None = None
