@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from openvox.apps.replay import replay
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.core.mapper_parameters import PRESETS
+from openvox.core.types import InstanceMap, Step
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import read_masks
 from openvox.formats.recording import RecordingWriter, read_frames
@@ -53,6 +55,23 @@ def test_the_loop_is_all_there_is(recording: Path) -> None:
     mapper = Mapper(PRESETS["paper"])
     run(((frame, masks[frame.index]) for frame in read_frames(recording)), mapper)
     assert map_digest(mapper.finish()) == replayed(recording, preset_name="paper")["digests"]["map"]
+
+
+def test_old_objects_are_left_alone_while_frames_come_and_looked_at_again_after(recording: Path) -> None:
+    frozen = []
+
+    class Watching:
+        def on_step(self, step: Step) -> None:
+            frozen.append(gc.get_freeze_count() > 0)
+            raise KeyboardInterrupt
+
+        def close(self, result: InstanceMap) -> None:
+            raise AssertionError
+
+    with pytest.raises(KeyboardInterrupt):
+        run(((frame, ()) for frame in read_frames(recording)), Mapper(PRESETS["paper"]), [Watching()])
+    assert frozen == [True]
+    assert gc.get_freeze_count() == 0
 
 
 @pytest.mark.parametrize("preset", ["openvox", "paper"])
