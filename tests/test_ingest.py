@@ -75,6 +75,7 @@ def test_a_scene_is_recorded_as_it_is(scene: Path, tmp_path: Path) -> None:
         depth_range_m=result.depth_range_m,
         has_truth=True,
         notes=(),
+        findings=(),
         digest=recording_info(tmp_path / "a.mcap").digest,
     )
     near, far = result.depth_range_m

@@ -309,10 +309,6 @@ def test_a_bad_trajectory_is_named_by_line(open3d: Path, text: str, expected: st
     assert expected in refusal(open3d, poses=open3d.parent / "poses.txt")
 
 
-def test_an_extrinsic_belongs_to_a_trajectory(open3d: Path) -> None:
-    assert "--extrinsic says where the camera sits" in refusal(open3d, extrinsic=open3d / "a.txt")
-
-
 def test_files_that_are_read_are_not_written_over(open3d: Path) -> None:
     poses = open3d.parent / "poses.txt"
     poses.write_text(tum_line(0, Pose.identity()))

@@ -11,12 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from openvox.apps.examining.finding import Finding
+from openvox.apps.examining.frames import examine_frames
+from openvox.apps.examining.sample import Taker
 from openvox.core.errors import InputError
 from openvox.core.types import DepthImage
 from openvox.formats.ahead import read_ahead
 from openvox.formats.mcap_io import MAGIC
 from openvox.formats.recording import RecordingWriter
 from openvox.sources import Dropped, open_source
+
+LOOK_EVERY, KEPT = 16, 64
+"""Every so many-th picture is looked at, and so many of them for the unit of depth."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class IngestResult:
     has_truth: bool
     notes: tuple[str, ...]
     """What was assumed, invented or changed, a sentence each."""
+    findings: tuple[Finding, ...]
+    """What doctor finds in single frames: stamps, black pictures, missing depth, odd intrinsics."""
     digest: str
 
 
@@ -58,6 +66,7 @@ def ingest(
     _check_target(source, out, [given.get(name) for name in ("poses", "extrinsic", "color_from_depth", "camera")])
     extra = {"notes": json.dumps(opened.notes), "origin_m": json.dumps(given.get("origin", (0, 0, 0)))}
     depths = np.zeros(1 << 16, np.int64)
+    taker = Taker()
     with (
         closing(read_ahead(opened.frames, ahead=4)) as frames,
         RecordingWriter(
@@ -66,15 +75,18 @@ def ingest(
     ):
         for done, frame in enumerate(frames, 1):
             if isinstance(frame, Dropped):
+                taker.drop(frame)
                 writer.drop(frame.index, frame.reason)
             else:
                 writer.add(frame)
                 depths += _histogram(frame.depth)
+                some = len(taker) % LOOK_EVERY == 0
+                taker.add(frame, look=some, depth=some and len(taker) < KEPT * LOOK_EVERY)
             if progress is not None:
                 progress(done, opened.total)
         notes = (*opened.notes, *opened.late_notes)
         writer.describe(notes=json.dumps(notes))
-    info = writer.info()
+    info, sample = writer.info(), taker.done()
     return IngestResult(
         output=str(out),
         replaced=replaced,
@@ -88,6 +100,7 @@ def ingest(
         depth_range_m=_range(depths),
         has_truth=info.has_truth,
         notes=notes,
+        findings=tuple(examine_frames(sample)) if sample else (),
         digest=info.digest,
     )
 

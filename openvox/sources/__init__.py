@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from openvox.core.errors import InputError
+from openvox.sources.corrections import corrected
 from openvox.sources.poses import with_own_poses
-from openvox.sources.source import Dropped, Options, Source
+from openvox.sources.source import Dropped, Options, Source, StampError
 
-__all__ = ["FORMATS", "Dropped", "Options", "Source", "open_source"]
+__all__ = ["FORMATS", "Dropped", "Options", "Source", "StampError", "open_source"]
 
 FORMATS = {
     "ros": "openvox.sources.ros",
@@ -44,7 +45,7 @@ def open_source(path: Path, format: str = "auto", **given: Any) -> Source:  # no
         if not missing:
             source: Source = loader.read(path, options)
             own = options.poses is not None or options.color_from_depth is not None
-            return with_own_poses(source, options) if own else source
+            return corrected(with_own_poses(source, options) if own else source, options)
         lacks = f" and lacks {' '.join(missing)}" if len(missing) < len(loader.WANTED) or format != "auto" else ""
         wanted.append(f"{name} wants {' '.join(loader.WANTED)}{lacks}")
     what = f"{path} is a file that" if path.is_file() else str(path)

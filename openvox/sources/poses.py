@@ -12,6 +12,7 @@ import numpy as np
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Pose, Rig
 from openvox.formats.recording import MAX_STAMP_NS
+from openvox.sources.corrections import meant
 from openvox.sources.source import (
     TWO_CAMERAS,
     Dropped,
@@ -31,9 +32,12 @@ TUM, KITTI = 8, 12
 
 def with_own_poses(source: Source, options: Options) -> Source:
     """The source with what the options bring instead. Raises InputError, also while iterating."""
-    notes, lookup, depth_from_color = list(source.notes), None, None
+    notes = list(source.notes)
+    lookup: Lookup | None = None
+    depth_from_color: Pose | None = None
     if options.poses is not None:
-        lookup, kind = read_trajectory(options.poses, round(options.max_gap * 1e9))
+        told, kind = read_trajectory(options.poses, round(options.max_gap * 1e9))
+        lookup = _meant(told, options)
         notes.append(f"poses are those of {options.poses.name} ({kind}), not the source's own")
     if options.color_from_depth is not None:
         depth_from_color = inverse(read_transform(options.color_from_depth))
@@ -66,6 +70,14 @@ def _frames(
             yield Dropped(frame.index, found)
         else:
             yield replace(frame, world_from_depth=placed(found, mount, origin)) if lookup else frame
+
+
+def _meant(lookup: Lookup, options: Options) -> Lookup:
+    def found(frame: Frame) -> Pose | str:
+        pose = lookup(frame)
+        return pose if isinstance(pose, str) else meant(pose, options)
+
+    return found
 
 
 def read_trajectory(path: Path, max_gap_ns: int) -> tuple[Lookup, str]:

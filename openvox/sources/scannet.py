@@ -101,9 +101,10 @@ def _check_complete(folder: Path, files: _Files, chosen: list[int], options: Opt
 def _stamps(folder: Path, numbers: list[int], options: Options) -> tuple[dict[int, int], tuple[str, ...]]:
     """Nanoseconds by frame number, and what to say about them."""
     path = folder / "stamps.txt"
-    if path.exists():
+    if path.exists() and not options.invent_stamps:
         return dict(zip(numbers, read_stamps(path, len(numbers)), strict=True)), ()
-    note = f"stamps were invented at {options.fps:g} frames a second: there is no stamps.txt"
+    why = "that was asked for" if path.exists() else "there is no stamps.txt"
+    note = f"stamps were invented at {options.fps:g} frames a second: {why}"
     return {number: options.stamp(number) for number in numbers}, (note,)
 
 

@@ -29,6 +29,10 @@ TWO_CAMERAS = (
 )
 
 
+class StampError(InputError):
+    """A file of stamps that cannot be used; the rest of the source may be sound."""
+
+
 @dataclass(frozen=True, slots=True)
 class Dropped:
     """A frame of the source that is left out."""
@@ -82,13 +86,27 @@ class Options:
     """Seconds between two poses up to which one is made in between."""
     tolerance: float = 0.02
     """Seconds between the stamps of colour and depth up to which they are one frame."""
+    invent_stamps: bool = False
+    """New stamps at `fps` instead of the source's own."""
+    depth_scale: float = 1.0
+    """What the source's depth is multiplied by, where its unit is another than it says."""
+    pose_axes: str = "RDF"
+    """Where x, y and z of the camera that the poses are of point: corrections.AXES."""
+    poses_inverted: bool = False
+    """The source's poses are world-to-camera."""
+    pose_shift: float = 0.0
+    """Seconds: each picture takes the pose of so much later."""
 
     def __post_init__(self) -> None:
         for name, value in (("max gap", self.max_gap), ("tolerance", self.tolerance)):
             if not 0 <= value <= 3600:
                 raise InputError(f"the {name} is {value} s; expected 0 to 3600 s")
-        if self.extrinsic is not None and self.poses is None and "pose" not in self.topics:
-            raise InputError("--extrinsic says where the camera sits on what --poses or --topic pose= tells the way of")
+        if not (math.isfinite(self.depth_scale) and 1e-4 <= self.depth_scale <= 1e4):
+            raise InputError(f"the depth scale is {self.depth_scale}; expected 0.0001 to 10000")
+        if not abs(self.pose_shift) <= 60:
+            raise InputError(f"the pose shift is {self.pose_shift} s; expected -60 to 60 s")
+        if self.poses_inverted and any(self.origin):
+            raise InputError("--poses-inverted and --origin do not go together: invert the poses in a file of your own")
         if not (math.isfinite(self.fps) and 1e-3 <= self.fps <= 1e6):
             raise InputError(f"the frame rate is {self.fps}; expected 0.001 to 1000000 frames a second")
         if self.stride < 1:
@@ -270,7 +288,7 @@ def read_stamps(path: Path, count: int) -> list[int]:
     """Nanoseconds of so many lines of decimal seconds, each exact, rising."""
     lines = read_text(path).split()
     if len(lines) != count:
-        raise InputError(f"{path} has {len(lines)} stamps; expected {count}, one for each frame of the source")
+        raise StampError(f"{path} has {len(lines)} stamps; expected {count}, one for each frame of the source")
     stamps: list[int] = []
     for line, text in enumerate(lines, 1):
         try:
@@ -278,10 +296,10 @@ def read_stamps(path: Path, count: int) -> list[int]:
         except decimal.InvalidOperation:
             seconds = Decimal("nan")
         if not 0 <= seconds < MAX_STAMP_NS // 10**9 if seconds.is_finite() else True:
-            raise InputError(f"{path}, line {line}: stamp {text!r}; expected seconds between 0 and 2**31")
+            raise StampError(f"{path}, line {line}: stamp {text!r}; expected seconds between 0 and 2**31")
         stamp = nanoseconds(seconds)
         if stamps and stamp <= stamps[-1]:
-            raise InputError(f"{path}, line {line}: stamp {text} comes not after the one before; stamps must rise")
+            raise StampError(f"{path}, line {line}: stamp {text} comes not after the one before; stamps must rise")
         stamps.append(stamp)
     return stamps
 

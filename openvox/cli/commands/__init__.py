@@ -9,6 +9,7 @@ import typer
 from openvox import __version__
 from openvox.cli.commands import (
     compare,
+    doctor,
     evaluate,
     explain,
     export,
@@ -53,6 +54,7 @@ def _examples(lines: tuple[str, ...]) -> str:
 
 # In the order of the data's way, which is the order of the help.
 for command, examples in (
+    (doctor.doctor, doctor.EXAMPLES),
     (ingest.ingest, ingest.EXAMPLES),
     (recover.recover, recover.EXAMPLES),
     (perceive.perceive, perceive.EXAMPLES),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from openvox.cli import options, tables
+from openvox.cli import source_options as how
 from openvox.cli.progress import progress
 
 EXAMPLES = (
@@ -21,65 +22,22 @@ EXAMPLES = (
 def ingest(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A folder of RGB-D frames, or a robot's log.")],
     recording: Annotated[Path, typer.Argument(metavar="REC.mcap", help="The recording to write.")],
-    layout: Annotated[
-        Literal[
-            "auto",
-            "ros",
-            "scannet",
-            "replica",
-            "sens",
-            "tum",
-            "7scenes",
-            "open3d",
-            "stray",
-            "foxglove",
-            "record3d",
-        ],
-        typer.Option("--format", help="Layout of the source; auto looks."),
-    ] = "auto",
-    fps: Annotated[float, typer.Option(min=0.001, metavar="N", help="Frame rate where there are no stamps.")] = 30.0,
-    origin: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help="Whole metres to subtract from every pose (far coordinates, as UTM).")
-    ] = "0,0,0",
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A trajectory instead of the source's poses: TUM (by stamp) or KITTI (line N: frame N).",
-        ),
-    ] = None,
-    extrinsic: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="4x4, metres: from the depth camera to what the poses are of; identity."),
-    ] = None,
-    color_from_depth: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="4x4, metres: from the depth camera to the colour camera."),
-    ] = None,
-    world: Annotated[
-        str | None, typer.Option(metavar="FRAME", help="Log: the frame to map in; map, odom or world if it is there.")
-    ] = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Log: the camera's frame; its pictures name it. Folder without intrinsics: a file of them.",
-        ),
-    ] = None,
-    topics: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--topic",
-            metavar="ROLE=NAME",
-            help="Log: the topic of color, depth, color_info, depth_info or pose; may be repeated.",
-        ),
-    ] = None,
-    max_gap: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Between two poses, up to which one is made in between.")
-    ] = 0.2,
-    tolerance: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Between colour and depth of one frame, at most.")
-    ] = 0.02,
+    layout: how.Layout = "auto",
+    fps: how.Fps = 30.0,
+    invent_stamps: how.InventStamps = False,
+    origin: how.Origin = "0,0,0",
+    poses: how.Poses = None,
+    extrinsic: how.Extrinsic = None,
+    color_from_depth: how.ColorFromDepth = None,
+    world: how.World = None,
+    camera: how.Camera = None,
+    topics: how.Topics = None,
+    max_gap: how.MaxGap = 0.2,
+    tolerance: how.Tolerance = 0.02,
+    depth_scale: how.DepthScale = 1.0,
+    pose_axes: how.PoseAxes = "RDF",
+    poses_inverted: how.PosesInverted = False,
+    pose_shift: how.PoseShift = 0.0,
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
@@ -98,6 +56,7 @@ def ingest(
         recording,
         format=layout,
         fps=fps,
+        invent_stamps=invent_stamps,
         origin=shift,
         poses=poses,
         extrinsic=extrinsic,
@@ -107,6 +66,10 @@ def ingest(
         topics=named,
         max_gap=max_gap,
         tolerance=tolerance,
+        depth_scale=depth_scale,
+        pose_axes=pose_axes,
+        poses_inverted=poses_inverted,
+        pose_shift=pose_shift,
         start=start,
         end=end,
         stride=stride,
@@ -126,5 +89,7 @@ def print_result(data: tables.Data) -> None:
     for reason, count in data["dropped"].items():
         print(f"left out: {count} frames ({reason})")
     tables.notes(data)
+    for finding in data["findings"]:
+        print(f"doctor: {tables.cell(finding['what'])} ({tables.cell(finding['cure'])})")
     print(f"recording digest {data['digest']}")
     tables.wrote(data["output"], data["replaced"])

@@ -1,0 +1,1 @@
+"""doctor: one file a kind of finding, pure functions on a sample of frames."""
