@@ -281,6 +281,10 @@ def test_a_map_a_missing_file_and_options_for_a_recording_are_sentences(tmp_path
     with pytest.raises(InputError, match=r"text\.mcap"):
         doctor(tmp_path / "text.mcap")
     path = written(tmp_path / "a.mcap", tiny_frames(3))
+    for name in ("cut.mcap", "cut.mcap.partial"):
+        (tmp_path / name).write_bytes(path.read_bytes()[:2000])
+        with pytest.raises(InputError, match="openvox recover"):
+            doctor(tmp_path / name)
     with pytest.raises(InputError, match="is a recording, which is read as it is"):
         doctor(path, depth_scale=2.0)
     with pytest.raises(InputError, match="has frames 0 to 2; none of them is asked for"):
@@ -294,6 +298,17 @@ def test_a_long_recording_is_looked_at_in_stretches_over_its_length(tmp_path: Pa
     assert (result.frames, result.total) == (400, 1000)
     assert result.findings == ()
     assert "400 of 1000 frames were looked at" in result.notes
+
+
+def test_a_robots_log_is_examined_as_it_lies(good: list[Frame], tmp_path: Path) -> None:
+    from bags import Messages, pictures, robot, write_bag
+
+    make = Messages(ros1=False)
+    path = write_bag(tmp_path / "bag", make, [*robot(make, good[:24]), *pictures(make, good[:24])])
+    result = doctor(path)
+    assert (result.kind, result.frames, result.total, result.findings) == ("ros2", 24, 0, ())
+    assert result.notes[0].startswith("colour from ")
+    assert [one.code for one in doctor(path, depth_scale=5.0).findings] == ["depth_unit"]
 
 
 def test_the_same_frames_give_the_same_findings(good: list[Frame]) -> None:

@@ -12,7 +12,7 @@ from openvox.apps.examining.finding import Finding
 from openvox.apps.info import kind_of
 from openvox.core.errors import InputError
 from openvox.core.types import Frame
-from openvox.formats.mcap_io import read_metadata
+from openvox.formats.mcap_io import read_metadata, read_topics
 from openvox.formats.perception import PerceptionInfo, perception_info, read_masks
 from openvox.formats.recording import FORMAT_VERSION, METADATA, read_frames, recording_info
 from openvox.sources import Dropped, Options, Source, StampError, open_source
@@ -59,7 +59,14 @@ def doctor(path: Path, *, format: str = "auto", progress: Progress = None, **giv
         )
     if kind == "perception":
         return _perception(path, progress)
-    return _recording(path, progress, **given) if kind == "recording" else _source(path, format, progress, given)
+    if kind == "recording":
+        return _recording(path, progress, **given)
+    try:
+        return _source(path, format, progress, given)
+    except InputError:
+        if path.is_file() and path.suffix == ".mcap":
+            read_topics(path)  # of a damaged file this says more
+        raise
 
 
 def _kind(path: Path) -> str:
@@ -72,24 +79,9 @@ def _kind(path: Path) -> str:
             read_metadata(path, METADATA, newest=FORMAT_VERSION)
         return kind
     except InputError:
-        try:
-            open_source(path)
-        except StampError:
-            return "source"
-        except InputError as error:
-            if path.suffix in (".mcap", ".partial", ".npz"):
-                raise kind_error(path) from error
+        if path.suffix in (".partial", ".npz"):
             raise
         return "source"
-
-
-def kind_error(path: Path) -> InputError:
-    """What is wrong with a file that is neither ours nor a source."""
-    try:
-        read_metadata(path, METADATA, newest=FORMAT_VERSION)
-    except InputError as error:
-        return error
-    return InputError(f"{path} cannot be read")
 
 
 def _range(options: Options) -> Options:
@@ -133,7 +125,9 @@ def _source(path: Path, format: str, progress: Progress, given: dict[str, Any]) 
     else:
         blocks = [islice(opened.frames, MOST_FRAMES)]
     found = examined(path, opened.kind, blocks, opened.total, progress)
-    return replace(found, findings=(*findings, *found.findings), notes=(*opened.notes, *found.notes))
+    return replace(
+        found, findings=(*findings, *found.findings), notes=(*opened.notes, *opened.late_notes, *found.notes)
+    )
 
 
 def _source_blocks(path: Path, format: str, given: dict[str, Any], total: int) -> Iterator[Iterable[Frame | Dropped]]:  # noqa: A002
@@ -172,6 +166,8 @@ def examined(path: Path, kind: str, blocks: Blocks, total: int, progress: Progre
     notes: list[str] = []
     if len(sample) < total:
         notes.append(f"{len(sample)} of {total} frames were looked at")
+    elif not total and len(sample) >= MOST_FRAMES:
+        notes.append(f"the first {len(sample)} frames were looked at; --start N looks further on")
     if not codes & {"intrinsics", "depth_missing", "depth_unit"}:
         more, said = examine_motion(sample)
         findings, notes = [*findings, *more], [*notes, *said]
