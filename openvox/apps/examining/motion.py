@@ -21,7 +21,7 @@ SOUND = 0.25
 """Agreement that the better reading must reach over the shortest gap; good recordings have 0.7 to 0.9."""
 LONGEST_SHIFT = 1.6
 """Seconds that are searched."""
-PEAK, SPAN, LEAN = 0.02, 0.1, 2.5
+PEAK, SPAN, LEAN = 0.014, 0.1, 2.5
 """Seconds off 0 at which the agreement over shifts of +-SPAN peaks, from which on poses are late even where
 interpolation between them costs what the shift gains. Good recordings: below 0.008; late by 0.05: above 0.021.
 LEAN: standard errors by which it must beat the same shift to the other side."""
@@ -123,7 +123,7 @@ def _climbed(score: Callable[[float], float], widest: float = 1e3) -> float:
 
 
 def _times(pairs: Pairs) -> Iterator[Reading]:
-    """Poses of a little earlier or later; only where one direction gains and the other loses, as noise does not."""
+    """Poses of a little earlier or later; only where one direction gains far more than the other, as noise does not."""
     sample = pairs.sample
     interval = usual_interval(sample.stamp, sample.segments())
     if not np.isfinite(interval):
@@ -138,7 +138,7 @@ def _times(pairs: Pairs) -> Iterator[Reading]:
         return
     best = max(found.values(), key=lambda reading: reading.gain)
     other = found.get(-best.value)
-    if other is not None and other.gain >= 1.0:
+    if other is not None and other.gain - 1.0 > (best.gain - 1.0) / 2.0:
         return
     for part in (0.125, 0.0625):
         trials = (_shifted(pairs, best.value + sign * part * min(interval, 0.4)) for sign in (1, -1))
@@ -157,11 +157,11 @@ def _peak(pairs: Pairs) -> Reading | None:
     if not PEAK <= abs(top) <= SPAN:
         return None
     there, opposite = _shifted(pairs, top), _shifted(pairs, -top)
-    if there is None or opposite is None or there.gain < 1.0 or len(there.scores) != len(opposite.scores):
+    if there is None or opposite is None or there.gain < 1.0:
         return None
-    leans = there.scores - opposite.scores
-    sure = float(leans.mean()) >= LEAN * float(leans.std()) / np.sqrt(len(leans))
-    return there if sure else None
+    gained, lost = (reading.scores - reading.base for reading in (there, opposite))
+    error = np.sqrt(gained.var() / len(gained) + lost.var() / len(lost))
+    return there if float(gained.mean() - lost.mean()) >= LEAN * float(error) else None
 
 
 def _shifted(pairs: Pairs, shift: float) -> Reading | None:
