@@ -21,6 +21,7 @@ from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
 from openvox.apps.report import report
 from openvox.apps.reporting.run import read_run
+from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.formats.map_npz import read_map, write_map
 from openvox.formats.recording import RecordingWriter
@@ -262,6 +263,8 @@ def test_two_maps_show_what_became_of_each_instance(tmp_path: Path) -> None:
     colors = [scene["palettes"][0] for scene in data_of(text)["maps"]]
     assert [palette["name"] for palette in colors] == ["difference", "difference"]
     assert [len(palette["colors"]) for palette in colors] == [3, 4]
+    foot = text[text.index("<footer>") :]
+    assert all(f"<code>{map_digest(read_map(path))[:16]}</code>" in foot for path in (a, b))
     assert HOSTILE not in text
 
 

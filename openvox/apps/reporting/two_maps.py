@@ -147,7 +147,7 @@ def _parameters(found: Mapping[str, Any]) -> list[Html]:
 
 
 def _foot(found: Mapping[str, Any]) -> Html:
-    digests = [tag("code", str(found[k].get("digests", {}).get("map", ""))[:16] + " ") for k in ("a", "b")]
+    digests = [tag("code", found[k]["map_digest"][:16]) for k in ("a", "b")]
     return tag(
         "footer", "Made by openvox. Everything on this page is in this one file. Maps ", digests[0], " and ", digests[1]
     )
