@@ -165,6 +165,13 @@ def test_7_scenes_without_a_pose_names_the_frame(seven: Path) -> None:
     assert "frame 1: expected a color.png, a depth.png and a pose.txt" in refusal(seven)
 
 
+def test_7_scenes_whose_files_have_no_numbers_have_no_frames(tmp_path: Path) -> None:
+    (tmp_path / "seq").mkdir()
+    for name in ("frame-a.color.png", "frame-a.depth.png", "frame-a.pose.txt"):
+        (tmp_path / "seq" / name).write_bytes(b"")
+    assert "has no frame with a number" in refusal(tmp_path / "seq")
+
+
 # ScanNet .sens
 
 
@@ -214,6 +221,10 @@ def test_a_sens_file_without_stamps_or_with_a_lost_pose_says_so(tmp_path: Path) 
         (lambda data: b"\5" + data[1:], "has version 5 of .sens; expected 4"),
         (lambda data: data[:4] + struct.pack("<Q", 1 << 60) + data[12:], "is cut off or damaged"),
         (lambda data: data.replace(struct.pack("<ii", 2, 1), struct.pack("<ii", 2, 2)), "depth by 2"),
+        (
+            lambda data: data.replace(struct.pack("<fQ", 1000.0, 4), struct.pack("<fQ", 1000.0, 1 << 60)),
+            f"it states {1 << 60} frames",
+        ),
         (lambda data: data.replace(struct.pack("<f", 1000.0), struct.pack("<f", np.nan)), "in units of 1/nan m"),
         (lambda data: data.replace(b"\xff\xd8\xff", b"GIF"), "frame 0, colour: the picture begins with"),
         (lambda data: data.replace(b"\x78\x9c", b"\x00\x00"), "frame 0, depth:"),
@@ -272,6 +283,8 @@ def test_open3d_without_a_frames_pose_drops_it(open3d: Path) -> None:
 def test_open3d_says_what_is_wrong(open3d: Path) -> None:
     (open3d / "trajectory.log").write_text("0 0 1\n1 0 0 0\n")
     assert "trajectory.log, frame 0" in refusal(open3d)
+    (open3d / "trajectory.log").write_text("9" * 5000 + " 0 1\n")
+    assert "expected a line of three whole numbers" in refusal(open3d)
     (open3d / "trajectory.log").write_text("zero\n")
     assert "expected a line of three whole numbers" in refusal(open3d)
     (open3d / "camera_intrinsic.json").write_text('{"width": 32}')

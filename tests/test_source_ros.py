@@ -22,6 +22,7 @@ from openvox.formats.recording import read_frames, recording_info
 from openvox.formats.robot_log import Calibration, Item, Log, Picture, Transform
 from openvox.sources import Dropped, Options
 from openvox.sources.log_frames import read
+from openvox.sources.log_pictures import Camera
 from openvox.sources.transforms import Track, Tree, between, compose, inverse
 
 MAKE = Messages()
@@ -179,6 +180,14 @@ def test_a_lens_that_distorts_is_rectified_once_and_said(tmp_path: Path) -> None
     assert abs(bent[0] - ideal[0]) > 5  # the test would see it if nothing were done
     assert set(np.unique(frames[0].depth)) <= {0, 1000, 2000}  # no depth is made up between two
     assert "colour was rectified: its lens distorts (plumb_bob)" in result.notes
+
+
+def test_a_picture_of_another_size_than_its_camera_is_not_rectified() -> None:
+    k = (30.0, 0.0, 16.0, 0.0, 30.0, 12.0, 0.0, 0.0, 1.0)
+    camera = Camera.of(Calibration("", 32, 24, k, (0.1, 0.0, 0.0, 0.0), "plumb_bob", ()), (32, 24), rectified=False)
+    assert camera.rectify(np.zeros((24, 32, 3), np.uint8)).shape == (24, 32, 3)
+    with pytest.raises(InputError, match="the picture is 64x48 pixels, its camera 32x24"):
+        camera.rectify(np.zeros((48, 64, 3), np.uint8))
 
 
 def test_pictures_of_a_rectified_topic_keep_their_pixels_and_have_the_camera_p(tmp_path: Path) -> None:

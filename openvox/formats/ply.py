@@ -47,7 +47,10 @@ def read_ply(path: Path) -> dict[str, NDArray[Any]]:
     at = end + len(b"end_header\n")
     found: dict[str, NDArray[Any]] = {}
     for element in _elements(path, data[:end].decode("ascii", "replace")):
-        found[element.name], size = _rows(path, element, data, at)
+        try:
+            found[element.name], size = _rows(path, element, data, at)
+        except ValueError as error:  # two properties of one name, a list whose length is no number
+            raise InputError(f"{path}: its element {element.name} cannot be read ({error})") from error
         at += size
     return found
 

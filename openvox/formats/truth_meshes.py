@@ -98,12 +98,9 @@ def _replica(folder: Path, queries: tuple[Query, ...]) -> Truth:
     if index.size and not (index.min() >= 0 and index.max() < len(points)):
         raise InputError(f"{path}: a face names vertex {int(index.max())} of {len(points)}")
     classes, objects = _replica_objects(folder / "info_semantic.json")
-    number = face["object_id"].astype(np.int64)
-    kinds = np.array([classes.get(one, 0) for one in range(int(number.max(initial=0)) + 1)], np.int64)
-    solid = np.array([one + 1 if one in objects else 0 for one in range(len(kinds))], np.int64)
-    known = np.where((number >= 0) & (number < len(kinds)), number, 0)
-    instance, category = solid[known], kinds[known]
-    instance[number < 0] = category[number < 0] = 0
+    numbers, place = np.unique(face["object_id"].astype(np.int64), return_inverse=True)
+    category = np.array([classes.get(one, 0) for one in numbers.tolist()], np.int64)[place]
+    instance = np.array([one + 1 if one in objects else 0 for one in numbers.tolist()], np.int64)[place]
     centres = points[index].mean(1)
     rows = _thinned(centres, instance)
     categories = {kind: name for kind, name in _replica_classes(folder / "info_semantic.json").items() if kind > 0}
@@ -128,6 +125,8 @@ def _replica_objects(path: Path) -> tuple[Mapping[int, int], Mapping[int, str]]:
     try:
         for one in read_object(path).get("objects", []):
             number, kind, name = int(one["id"]), int(one["class_id"]), str(one["class_name"])
+            if not (0 <= number < MAX_ID - 1 and kind < MAX_ID):
+                raise ValueError(f"object {number} of class {kind}")
             classes[number] = max(kind, 0)
             if kind > 0 and name not in BACKGROUND:
                 names[number] = name

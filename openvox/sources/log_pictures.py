@@ -89,6 +89,7 @@ def decode_rgb(picture: Picture) -> NDArray[np.uint8]:
     import cv2
 
     if picture.encoding == "compressed":
+        size_of(picture)  # before anything of the size that the file claims is allocated
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imdecode(np.frombuffer(picture.data, np.uint8), flags)
         if image is None:
@@ -139,6 +140,9 @@ class Camera:
         """The picture without distortion, in the same size; depth by the nearest pixel, colour smoothly."""
         import cv2
 
+        size = (self.intrinsics.width, self.intrinsics.height)
+        if image.shape[1::-1] != size:
+            raise InputError(f"the picture is {image.shape[1]}x{image.shape[0]} pixels, its camera {size[0]}x{size[1]}")
         if self._maps is None:
             self._maps = self._make_maps()
         along, down = self._maps

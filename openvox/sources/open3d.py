@@ -12,6 +12,8 @@ from openvox.sources import shots
 from openvox.sources.source import NO_POSE, Options, Source, listed, parse_matrix, pose_of, read_text, scaled
 
 WANTED = ("color/", "depth/", "camera_intrinsic.json", "trajectory.log")
+LONGEST_NUMBER = 10
+"""Digits of a frame's number."""
 _COLORS = ("color", "rgb", "image")
 _LOGS = ("trajectory.log", "scene/trajectory.log", "*.log", "scene/*.log")
 
@@ -76,7 +78,7 @@ def read_log(path: Path, origin: tuple[int, int, int]) -> dict[int, Pose | None]
     for at in range(0, len(lines), 5):
         where = f"{path}, frame {at // 5}"
         words = lines[at].split()
-        if len(words) != 3 or not words[0].isdecimal():
+        if len(words) != 3 or not words[0].isdecimal() or len(words[0]) > LONGEST_NUMBER:
             raise InputError(f"{where}: {lines[at]!r:.80}; expected a line of three whole numbers, then four of four")
         poses[int(words[0])] = pose_of(parse_matrix(" ".join(lines[at + 1 : at + 5]), where), origin, where)
     return poses

@@ -107,6 +107,9 @@ def _header(path: Path, file: BinaryIO) -> _Header:
         )
     if not 1000 <= shift <= 10**6 or not 0 < dw * dh <= MAX_PIXELS:
         raise InputError(f"{path}: depth of {dw}x{dh} pixels in units of 1/{shift} m; expected 1000 to 1000000 a metre")
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if frames * _FRAME.size > left:
+        raise InputError(f"{path} is cut off or damaged: it states {frames} frames, and {left} bytes follow")
     sizes = (cw, ch), (dw, dh)
     return _Header(color, color_pose, depth, depth_pose, depth_codec, *sizes, float(shift), frames)
 

@@ -123,6 +123,8 @@ class Options:
     def chosen(self, path: Path, numbers: Sequence[int]) -> list[int]:
         """Those of the source's frame numbers that are asked for; none is an error."""
         chosen = [number for number in numbers if self.takes(number)]
+        if not numbers:
+            raise InputError(f"{path} has no frame with a number")
         if not chosen:
             raise InputError(
                 f"{path} has frames {numbers[0]} to {numbers[-1]}; none of them is from {self.start or 0} "
