@@ -13,6 +13,7 @@ import pytest
 from maps import labelled_map
 
 from openvox.apps.evaluate import evaluate
+from openvox.apps.sweeping.plan import truth_digest
 from openvox.core.errors import InputError
 from openvox.formats.map_npz import write_map
 from openvox.formats.ply import read_ply
@@ -169,20 +170,36 @@ def test_what_is_wrong_in_replicas_files_is_one_sentence(
         read_truth(replica)
 
 
+def test_numbers_of_objects_may_be_large(replica: Path) -> None:
+    quad = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.2, 0.0, 0.2), (0.0, 0.0, 0.2)]
+    faces = [((0, 1, 2, 3), number) for number in (2**31 - 1, 3, -1)]
+    (replica / "habitat" / "mesh_semantic.ply").write_bytes(ply(quad, faces))
+    assert read_truth(replica).instance.tolist() == [0, 4]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
         (b"element vertex 1", b"element vertex 1000000000", "do not fit|is it whole"),
         (b"element vertex 1", b"element vertex -1", "do not fit"),
         (b"property float x", b"property double128 x", "which is not understood"),
+        (b"property float y", b"property float x", "vertex cannot be read"),
+        (b"property float x", b"property list float float x", "vertex cannot be read"),
         (b"binary_little_endian", b"ascii", "is ascii; expected binary_little_endian"),
         (b"end_header", b"end_of_it", "is no PLY file"),
     ],
 )
 def test_hostile_headers_of_meshes_cost_nothing(tmp_path: Path, old: bytes, new: bytes, expected: str) -> None:
-    (tmp_path / "a.ply").write_bytes(ply([(0, 0, 0)]).replace(old, new))
+    (tmp_path / "a.ply").write_bytes(ply([(np.nan, 0, 0)]).replace(old, new))
     with pytest.raises(InputError, match=expected):
         read_ply(tmp_path / "a.ply")
+
+
+def test_a_sweep_knows_such_a_folder_by_its_points_and_instances(scannet: Path) -> None:
+    before = truth_digest(scannet)
+    assert truth_digest(scannet) == before
+    write("scene0000_00_vh_clean_2.0.010000.segs.json", json.dumps({"segIndices": [7, 7, 7, 3, 12, 99]}))(scannet)
+    assert truth_digest(scannet) != before
 
 
 def test_a_map_is_scored_against_such_a_folder(scannet: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from openvox.apps.cores import cores
 from openvox.core.errors import InputError
 from openvox.core.parameters import from_assignments, updated
 from openvox.core.types import Frame
@@ -91,7 +91,7 @@ def perceive(
     info = recording_info(recording)
     target = out or recording.with_name(recording.stem + SUFFIX)
     _check_target(target, recording, detections, models)
-    jobs = len(os.sched_getaffinity(0)) if jobs is None else jobs
+    jobs = cores() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     selection = Selection(start, end, stride)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.compare import first_outcome
+from openvox.apps.cores import cores
 from openvox.apps.replay import warm_up
 from openvox.apps.report import report
 from openvox.apps.sweeping.item import MAPPED, run_item
@@ -59,7 +60,7 @@ def sweep(
     fixed = [text for text in assignments if text.partition("=")[0].strip() not in varied]
     _prepare(out, {"recordings": [one.digests["recording"] for one in found], **_about(run), "fixed": sorted(fixed)})
     warm_up(preset(preset_name), engine, notice)  # compiled once, so that the processes find it done
-    workers = min(len(todo), jobs or len(os.sched_getaffinity(0)))
+    workers = min(len(todo), jobs or cores())
     outcomes: dict[int, Outcome[dict[str, Any]]] = {}
     for outcome in in_processes(run_item, todo, workers):
         outcomes[outcome.place] = outcome

@@ -17,6 +17,7 @@ from openvox.core.parameters import Value, as_dict, from_assignments
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
 from openvox.formats.perception import perception_info
 from openvox.formats.recording import recording_info
+from openvox.formats.truth import read_truth
 
 MAX_SETS = 100_000
 
@@ -159,19 +160,16 @@ def _source(name: str, recording: Path, perception: Path | None, truth: Path | N
         raise InputError(f"{path}: no such file; run openvox perceive {recording} first, or name one with --perception")
     digests = {"recording": recording_info(recording).digest, "perception": perception_info(path).digest}
     if truth is not None:
-        digests["truth"] = _truth_digest(truth)
+        digests["truth"] = truth_digest(truth)
     return Source(name, recording, path, truth, digests)
 
 
-def _truth_digest(truth: Path) -> str:
+def truth_digest(truth: Path) -> str:
     """Of the points in a folder, or of the recording that they are made of. Raises InputError."""
     if not truth.is_dir():
         return recording_info(truth).digest
-    points = truth / "gt_points.npz"
-    if not points.is_file():
-        raise InputError(f"{truth} has no gt_points.npz; --truth wants a folder with it, or a recording with truth")
-    with points.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    known = read_truth(truth)
+    return hashlib.sha256(known.points.tobytes() + known.instance.tobytes()).hexdigest()
 
 
 def items(run: Run, found: Sequence[Source], sets: Sequence[ParameterSet], folder: Path) -> Iterator[Item]:

@@ -33,7 +33,9 @@ def sweep(
         list[Path] | None,
         typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap, one for each recording in order."),
     ] = None,
-    preset: Annotated[Literal["openvox", "paper"], typer.Option(help="The parameters that are not swept.")] = "openvox",
+    preset: Annotated[
+        Literal["openvox", "official", "paper"], typer.Option(help="The parameters that are not swept.")
+    ] = "openvox",
     params: Annotated[
         Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
     ] = None,
