@@ -15,6 +15,7 @@ from worlds import tiny_frames, truth_masks
 
 from openvox.apps.explain import explain
 from openvox.apps.explaining import mask as mask_module
+from openvox.apps.explaining.instance import explain_instance
 from openvox.apps.explaining.run import Run, read_run, strongest, words_of
 from openvox.apps.explaining.suspicious import Suspect, likeness, spread, words_in
 from openvox.apps.explaining.voxel import owner_of
@@ -192,6 +193,13 @@ def test_an_instance_is_told_with_its_masks_captions_and_growth(trace: Path, run
     assert found["voxels"] == int((run.final_owner == instance).sum()) > 0
     assert [event["kind"] for event in found["events"]][:2] == ["new", "confirmed"]
     assert found["state"] == f"confirmed in frame {found['events'][1]['frame']}"
+
+
+def test_an_instance_of_the_run_that_was_resumed_is_known_without_masks(run: Run) -> None:
+    silent = tuple(replace(frame, decisions=(), events=()) for frame in run.frames)
+    found = explain_instance(replace(run, frames=silent), run.final[run.frames[0].decisions[0]["fragment"]])
+    assert (found["state"], found["masks"]) == ("of the run before this one", [])
+    assert found["voxels"] > 0
 
 
 def test_a_voxel_tells_who_voted_and_what_it_holds(trace: Path, run: Run) -> None:

@@ -19,7 +19,7 @@ def explain_instance(run: Run, instance: int) -> dict[str, Any]:
     """All that the trace knows of an instance, also of one that was merged away. Raises InputError."""
     masks = [_mask(run, position, row) for position, row in run.decisions() if _belongs(run, row, instance)]
     events = events_of(run, {instance})
-    if not masks and not events:
+    if not masks and not events and instance not in run.final.values():
         known = sorted(set(run.final.values()) - run.dropped.keys())
         raise InputError(f"{run.path}: there was never an instance {instance}; in the end there are {_few(known)}")
     fragments = sorted(f for f, i in run.final.items() if i == instance)
@@ -66,14 +66,16 @@ def _mask(run: Run, position: int, row: Any) -> dict[str, Any]:
 
 
 def _state(run: Run, instance: int, events: list[dict[str, Any]]) -> str:
-    """In words: confirmed, tentative, dropped, or part of another instance."""
+    """In words: confirmed, tentative, dropped, part of another instance, or there before a run that was resumed."""
     if instance in run.dropped:
         return f"dropped: {run.dropped[instance]}"
     if instance not in run.final.values():
         into = run.final.get(instance)
         return f"part of instance {into}" if into else "never founded"
     confirmed = [event["frame"] for event in events if event["kind"] == "confirmed" and event["instance"] == instance]
-    return f"confirmed in frame {confirmed[0]}" if confirmed else "tentative"
+    if confirmed:
+        return f"confirmed in frame {confirmed[0]}"
+    return "tentative" if any(event["kind"] in ("new", "split") for event in events) else "of the run before this one"
 
 
 def captions_of(run: Run, instance: int, end: int) -> Counter[str]:
@@ -105,7 +107,7 @@ def events_of(run: Run, instances: Collection[int]) -> list[dict[str, Any]]:
 
 def voxels_of(run: Run, fragments: list[int]) -> Longs:
     """Voxels that hold votes for any of the fragments in the end, ascending."""
-    voxel, fragment, _ = run.votes_at(len(run.frames))
+    voxel, fragment, _ = run.final_votes
     return np.unique(voxel[np.isin(fragment, fragments)])
 
 

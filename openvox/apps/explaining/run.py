@@ -100,6 +100,11 @@ class Run:
         last = last[self.count[last] > 0]
         return self.voxel[last], self.fragment[last], self.count[last]
 
+    @cached_property
+    def final_votes(self) -> tuple[Longs, Longs, Longs]:
+        """Voxel, fragment and count of every vote after the last frame."""
+        return self.votes_at(len(self.frames))
+
     def shares(self, position: int, instance_of: Mapping[int, int]) -> tuple[Longs, Longs, Longs, Longs]:
         """Votes by instance before a frame: voxel, instance (0 = background), count, and all votes by voxel number."""
         voxel, fragment, count = self.votes_at(position)
