@@ -13,6 +13,7 @@ from openvox.core.colors import instance_color
 from openvox.core.types import InstanceMap
 from openvox.view import entities
 from openvox.view.blueprint import overview
+from openvox.view.decision_table import escaped
 from openvox.view.labels import BACKGROUND
 from openvox.view.rrd_file import rrd_file
 
@@ -55,7 +56,7 @@ def _table(result: InstanceMap) -> str:
     """One row an instance, by id."""
     rows = ["| instance | caption | state | voxels | confidence | frames |", "|--:|---|---|--:|--:|--:|"]
     for summary, confidence in zip(result.instances, result.instance_confidence.tolist(), strict=True):
-        caption = " ".join(summary.caption.split()).replace("|", "\\|")
+        caption = escaped(" ".join(summary.caption.split()))
         rows.append(
             f"| {summary.id} | {caption} | {summary.state} | {summary.voxels} | {confidence:.2f} "
             f"| {summary.observations} |"

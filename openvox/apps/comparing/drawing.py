@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from openvox.apps.comparing.matching import Matching, differing_voxels
 from openvox.core.types import InstanceMap
+from openvox.view.decision_table import escaped
 from openvox.view.differences import ELSEWHERE, GONE, MERGED, NEW, SAME, SPLIT
 
 Kinds = NDArray[np.uint8]
@@ -50,4 +51,4 @@ def markdown(result: Mapping[str, Any]) -> str:
 
 
 def _one(row: Mapping[str, Any]) -> str:
-    return f"{row['instance']} ({row['caption']}, {row['voxels']} voxels)"
+    return f"{row['instance']} ({escaped(row['caption'])}, {row['voxels']} voxels)"
