@@ -19,9 +19,9 @@ from worlds import tiny_frames, truth_masks
 from openvox.apps.compare import compare, first_outcome
 from openvox.apps.comparing import arrays
 from openvox.apps.comparing.decisions import FIELDS, first_difference
-from openvox.apps.comparing.drawing import kinds_of_voxels
+from openvox.apps.comparing.drawing import kinds_of_voxels, markdown
 from openvox.apps.comparing.matching import differing_voxels, match_instances
-from openvox.core.errors import InputError
+from openvox.core.errors import InputError, OutputError
 from openvox.core.fixedpoint import Q20
 from openvox.core.types import Candidate, Decision, InstanceMap, Step, VoxelChanges
 from openvox.formats.map_npz import write_map
@@ -308,3 +308,18 @@ def test_both_maps_are_drawn_with_the_kinds_of_differences(tmp_path: Path) -> No
     assert expected <= drawn
     assert "/a/names/0001" in drawn
     assert "/a/names/0004" not in drawn
+
+
+def test_a_drawing_never_replaces_a_map_that_it_shows(tmp_path: Path) -> None:
+    a, b = (written(tmp_path / f"{name}.map.npz", row_of(1, *rest)) for name, rest in (("a", [1]), ("b", [2])))
+    before = b.read_bytes()
+    with pytest.raises(OutputError, match=r"b\.map\.npz would be overwritten"):
+        compare(a, b, rerun=b)
+    assert b.read_bytes() == before
+
+
+def test_captions_are_no_markdown_in_the_drawing(tmp_path: Path) -> None:
+    hostile = "![x](http://a/b) *cup*"
+    a = written(tmp_path / "a.map.npz", row_of(1, 1, captions={1: hostile}))
+    found = compare(a, written(tmp_path / "b.map.npz", row_of(0, 0)))
+    assert markdown(found) == r"- vanished: 1 (!\[x\](http://a/b) \*cup\*, 2 voxels)"

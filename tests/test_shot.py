@@ -15,7 +15,7 @@ from maps import small_map
 from openvox.apps.shot import shot
 from openvox.apps.view import as_rrd
 from openvox.cli.commands.shot import parsed_size
-from openvox.core.errors import InputError
+from openvox.core.errors import InputError, OutputError
 from openvox.formats.map_npz import write_map
 from openvox.view.screenshot import is_blank, vulkan_devices
 
@@ -63,6 +63,13 @@ def test_a_machine_without_vulkan_is_told_what_to_install(
     ):
         shot(map_file, tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_never_replaces_what_it_is_of(map_file: Path) -> None:
+    before = map_file.read_bytes()
+    with pytest.raises(OutputError, match="would be overwritten by what is made from it"):
+        shot(map_file, map_file)
+    assert map_file.read_bytes() == before
 
 
 def test_a_foreign_file_is_one_sentence(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from openvox.apps.info import kind_of
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
+from openvox.formats.atomic import check_not_input
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
@@ -53,6 +54,8 @@ def compare(a: Path, b: Path, *, rerun: Path | None = None) -> dict[str, Any]:
     rerun: a file (.rrd) to write with both maps side by side. Raises InputError, OutputError."""
     kind = _one_kind(a, b)
     one, other = (_map_side(a), _map_side(b)) if kind == "map" else (_trace_side(a), _trace_side(b))
+    if rerun is not None:
+        check_not_input(rerun, *(path for side in (one, other) for path in (side.map_file, side.trace_file)))
     parameters = _differing(one.about.get("parameters", {}), other.about.get("parameters", {}))
     first = outcome = None
     if one.trace is not None and other.trace is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.view import as_rrd, kind
+from openvox.formats.atomic import check_not_input
 
 
 def shot(
@@ -26,6 +27,7 @@ def shot(
     Raises InputError, OutputError."""
     from openvox.view.screenshot import check_machine, take_shot
 
+    check_not_input(out, path, recording)
     found, replaced = kind(path), out.exists()
     check_machine()
     with tempfile.TemporaryDirectory(prefix="openvox-shot-") as folder:

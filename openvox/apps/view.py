@@ -12,8 +12,9 @@ from typing import Any
 from openvox.apps.info import kind_of
 from openvox.apps.retrace import Pictures, steps_of
 from openvox.core.digest import frame_digest
-from openvox.core.errors import InputError, OutputError
+from openvox.core.errors import InputError
 from openvox.core.types import Frame, InstanceMap, Mask
+from openvox.formats.atomic import check_not_input
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
@@ -86,8 +87,7 @@ def as_rrd(path: Path, out: Path, recording: Path | None = None, notice: Notice 
     """Write what a file holds as an .rrd; returns it. recording: where a trace or perception does not find its own.
 
     notice: told what is missing from the picture. Raises InputError, OutputError."""
-    if out.resolve() == path.resolve():
-        raise OutputError(f"{out} would be overwritten by what is made from it; choose another name")
+    check_not_input(out, path, recording)
     found = kind(path)
     if found == "trace":
         _draw_trace(path, out, recording, notice)

@@ -39,6 +39,12 @@ def partial_file(path: Path, *, resumable: bool = False) -> Iterator[Path]:
         raise
 
 
+def check_not_input(out: Path, *inputs: Path | None) -> None:
+    """Raises OutputError if `out` is one of the files that it is made from."""
+    if any(path is not None and path.exists() and out.exists() and out.samefile(path) for path in inputs):
+        raise OutputError(f"{out} would be overwritten by what is made from it; choose another name")
+
+
 def _remove(partial: Path) -> None:
     """Away with an unfinished file, if it can be done; the reason that brought us here matters more."""
     try:

@@ -10,12 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from openvox.core.errors import OutputError
 from openvox.core.types import InstanceMap
-from openvox.formats.atomic import partial_file
 from openvox.view.blueprint import Eye, overview
 from openvox.view.differences import COLORS, NAMES, SAME, WORDS
 from openvox.view.labels import shortened
+from openvox.view.rrd_file import rrd_file
 
 APPLICATION = "openvox-compare"
 """Not that of replays: the viewer keeps one layout for all recordings of one application."""
@@ -37,23 +36,11 @@ def draw_comparison(a: Drawn, b: Drawn, summary: str, out: Path) -> None:
     """A file (.rrd) with both maps under `a` and `b`, and the summary (Markdown). Instances that differ are named.
 
     Raises OutputError."""
-    with partial_file(out) as partial:
-        recording = rr.RecordingStream(APPLICATION, send_properties=False)
-        try:
-            recording.save(partial, default_blueprint=_blueprint(a, b))
-            recording.set_log_time_enabled(False)
-            recording.set_log_tick_enabled(False)
-            for root, one in (("a", a), ("b", b)):
-                recording.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-                _log_map(recording, root, one)
-            text = rr.TextDocument(
-                f"### Colours\n\n{_legend()}\n\n### What differs\n\n{summary}", media_type=rr.MediaType.MARKDOWN
-            )
-            recording.log(LEGEND, text, static=True)
-            recording.flush()
-            recording.disconnect()
-        except RuntimeError as error:  # what Rerun makes of the system's refusal
-            raise OutputError(f"{out} could not be written (Rerun's writer stopped: {error})") from error
+    with rrd_file(out, APPLICATION, _blueprint(a, b), ("a", "b")) as recording:
+        for root, one in (("a", a), ("b", b)):
+            _log_map(recording, root, one)
+        text = f"### Colours\n\n{_legend()}\n\n### What differs\n\n{summary}"
+        recording.log(LEGEND, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def _log_map(recording: rr.RecordingStream, root: str, one: Drawn) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,10 +18,12 @@ END_OF_FILE = b"RRF2FOOT"
 
 
 @contextmanager
-def rrd_file(path: Path, application: str, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+def rrd_file(
+    path: Path, application: str, layout: rrb.Blueprint, roots: Sequence[str] = (entities.WORLD,)
+) -> Iterator[rr.RecordingStream]:
     """Yields a stream whose file appears when the block ends well. Raises OutputError.
 
-    application: the viewer keeps one layout for all files of one application."""
+    application: the viewer keeps one layout for all files of one application. roots: entities whose z is up."""
     stream = rr.RecordingStream(application, send_properties=False)
     with partial_file(path) as partial:
         try:
@@ -29,7 +31,8 @@ def rrd_file(path: Path, application: str, layout: rrb.Blueprint) -> Iterator[rr
             stream.set_log_time_enabled(False)
             stream.set_log_tick_enabled(False)
             stream.send_recording_name(path.stem)
-            stream.log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+            for root in roots:
+                stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
             yield stream
             stream.flush()
         except RuntimeError as error:  # what Rerun makes of the system's refusal
