@@ -21,6 +21,7 @@ def info(path: Path) -> dict[str, Any]:
 
 def kind_of(path: Path) -> str:
     """recording, perception, map or trace, from the file's first bytes and its topics. Raises InputError."""
+    from openvox.formats.growing import growing_topics, is_unfinished
     from openvox.formats.mcap_io import MAGIC, read_topics
 
     try:
@@ -35,7 +36,8 @@ def kind_of(path: Path) -> str:
             f"{path} begins with {start.hex() or 'nothing'}; expected a recording, perception or trace (MCAP), or a "
             "map (npz)"
         )
-    rooms = {topic.split("/")[1] if topic.startswith("/") else topic for topic in read_topics(path)}
+    topics = growing_topics(path) if is_unfinished(path) else read_topics(path)
+    rooms = {topic.split("/")[1] if topic.startswith("/") else topic for topic in topics}
     # a recording may hold topics of others, too, so that it is asked for last
     for room, kind in (("mapper", "trace"), ("perception", "perception"), ("camera", "recording")):
         if room in rooms:

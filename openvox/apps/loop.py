@@ -7,7 +7,14 @@ from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from openvox.core.types import Frame, InstanceMap, Mask, Step
-from openvox.mapper.mapper import Mapper
+
+
+class Stepping(Protocol):
+    """A mapper, or what stands before one."""
+
+    def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
+        """See Mapper.step."""
+        ...
 
 
 class Observer(Protocol):
@@ -21,7 +28,7 @@ class Observer(Protocol):
 
 
 def run(
-    frames: Iterable[tuple[Frame, Sequence[Mask] | None]], mapper: Mapper, observers: Sequence[Observer] = ()
+    frames: Iterable[tuple[Frame, Sequence[Mask] | None]], mapper: Stepping, observers: Sequence[Observer] = ()
 ) -> None:
     """Map frames in the order of their stamps; masks are None where perception did not look."""
     gc.freeze()  # looking through all that is loaded for garbage would take longer than some frames

@@ -24,6 +24,7 @@ from openvox.core.mapper_parameters import MapperParameters, preset
 from openvox.core.parameters import as_dict, from_assignments, from_toml, updated
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Pose, Rig, Step
 from openvox.formats.ahead import read_ahead
+from openvox.formats.growing import PARTIAL, final_name, finished_or_not, is_unfinished
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import write_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
@@ -71,7 +72,9 @@ def replay(
     parameters = chosen_parameters(preset_name, params, assignments)
     source = recording_info(recording)
     found = perception_info(_perception_of(recording, perception))
-    stem = Path(out) if out else recording.with_suffix("")
+    if is_unfinished(recording):  # more may come while it is mapped
+        end = min(source.last + 1, source.last + 1 if end is None else end)
+    stem = Path(out) if out else stem_of(recording)
     map_path, trace_path = Path(f"{stem}{MAP_SUFFIX}"), Path(f"{stem}{TRACE_SUFFIX}")
     outputs = [map_path, trace_path, *([rerun] if rerun else [])]
     _check_outputs([recording, found.path, *([resume] if resume else [])], outputs)
@@ -83,7 +86,7 @@ def replay(
     watch, counter = Stopwatch(), Counting(progress, passes * _count(source, start, end, stride))
     about = {"preset": preset_name, "engine": engine, "parameters": as_dict(parameters)}
     sources = {
-        name: (_relative(info.path, trace_path), info.digest)
+        name: (relative(info.path, trace_path), info.digest)
         for name, info in (("recording", source), ("perception", found))
     }
     mapper = (
@@ -128,7 +131,7 @@ def replay(
     # last, so that a map never stands beside a trace that could not be completed
     digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
     meta = {
-        **_meta(about, found, sources, digests, earlier.frames + counter.frames),
+        **map_meta(about, found, sources, digests, earlier.frames + counter.frames),
         "last": counter.last,
         **said,
     }
@@ -140,7 +143,7 @@ def replay(
         "looked": counter.looked,
         "seconds": seconds,
         "frames_per_second": passes * counter.frames / seconds,
-        "ms": {stage: _summary(watch.times.get(stage, [])) for stage in (*STAGES, *(["rerun"] if rerun else []))},
+        "ms": {stage: summary(watch.times.get(stage, [])) for stage in (*STAGES, *(["rerun"] if rerun else []))},
         "voxels": len(result.voxel_index),
         "instances": len(result.instance_id),
         "decisions": dict(sorted(counter.rules.items())),
@@ -235,8 +238,14 @@ class Counting:
         """Nothing is left to do."""
 
 
+def stem_of(recording: Path) -> Path:
+    """STEM of STEM.mcap; of STEM.mcap.partial STEM.partial, since a run under way may be writing STEM's files."""
+    stem = final_name(recording).with_suffix("")
+    return stem.with_name(stem.name + PARTIAL) if is_unfinished(recording) else stem
+
+
 def _perception_of(recording: Path, perception: Path | None) -> Path:
-    path = perception or recording.with_suffix(PERCEPTION_SUFFIX)
+    path = perception or finished_or_not(final_name(recording).with_suffix(PERCEPTION_SUFFIX))
     if not path.exists():
         raise InputError(f"{path}: no such file; run openvox perceive {recording} first, or name one with --perception")
     return path
@@ -290,7 +299,8 @@ def _count(source: RecordingInfo, start: int | None, end: int | None, stride: in
     return max(0, -(-(last - first) // stride))
 
 
-def _summary(times: Sequence[float]) -> dict[str, float]:
+def summary(times: Sequence[float]) -> dict[str, float]:
+    """mean, median, p95; zeros of nothing."""
     if not times:
         return {"mean": 0.0, "median": 0.0, "p95": 0.0}
     return {
@@ -300,17 +310,19 @@ def _summary(times: Sequence[float]) -> dict[str, float]:
     }
 
 
-def _relative(path: Path, beside: Path) -> str:
+def relative(path: Path, beside: Path) -> str:
+    """From the folder of another file."""
     return Path(os.path.relpath(path.resolve(), beside.resolve().parent)).as_posix()
 
 
-def _meta(
+def map_meta(
     about: dict[str, Any],
     found: PerceptionInfo,
     sources: dict[str, tuple[str, str]],
     digests: dict[str, str],
     frames: int,
 ) -> dict[str, Any]:
+    """What a map says of its run."""
     return {
         **about,
         "encoder": found.encoder,

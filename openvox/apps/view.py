@@ -15,6 +15,7 @@ from openvox.core.digest import frame_digest
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, InstanceMap, Mask
 from openvox.formats.atomic import check_not_input
+from openvox.formats.growing import final_name, finished_or_not
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
@@ -111,10 +112,10 @@ def _seen(
     """Frames of a recording with their masks; path: the recording, or a perception that names it."""
     perception: Path | None = path
     if found == "perception":
-        source = recording or path.parent / perception_info(path).recording
+        source = recording or finished_or_not(path.parent / perception_info(path).recording)
     else:
         source = path
-        beside = path.with_suffix(PERCEPTION_SUFFIX)
+        beside = finished_or_not(final_name(path).with_suffix(PERCEPTION_SUFFIX))
         perception = beside if beside.exists() else None
         if perception is None:
             notice(f"{beside} is not there: shown without masks")

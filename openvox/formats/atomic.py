@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from openvox.core.errors import OutputError
 
 
+def never(error: BaseException) -> bool:
+    """An unfinished file is of no use."""
+    return False
+
+
 @contextmanager
-def partial_file(path: Path, *, resumable: bool = False) -> Iterator[Path]:
+def partial_file(path: Path, *, keep: Callable[[BaseException], bool] = never) -> Iterator[Path]:
     """Yields NAME.partial to be written; it becomes `path`, replacing an older file, when the block ends well.
 
-    On any exception the partial file is removed (not on Ctrl-C, if it is resumable: the next run goes on from it) and
-    what stood at `path` is left as it was. An OSError of the block is
+    On an exception the partial file is removed unless `keep` says that something can still be made of it, and what
+    stood at `path` is left as it was. An OSError of the block is
     taken for one of writing: the block turns errors of its inputs into InputError itself. Raises OutputError.
     """
     if path.is_dir():
@@ -29,11 +34,14 @@ def partial_file(path: Path, *, resumable: bool = False) -> Iterator[Path]:
             os.fsync(file.fileno())
         os.replace(partial, path)
     except BaseException as error:
-        if not (resumable and isinstance(error, KeyboardInterrupt)):
+        left = "nothing was left there"
+        if keep(error):
+            left = f"what there is of it stands in {partial.name}"
+        else:
             _remove(partial)
         if isinstance(error, OSError):
             raise OutputError(
-                f"{path} could not be written ({error.strerror or error}); nothing was left there, an older file "
+                f"{path} could not be written ({error.strerror or error}); {left}, an older file "
                 "of that name is untouched: check the folder, its permissions and the space on the disk"
             ) from error
         raise

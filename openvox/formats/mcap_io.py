@@ -68,17 +68,20 @@ class Message:
 
 
 class McapWriter:
-    """Writes one MCAP file, complete or not at all. A context manager; the same calls give the same bytes."""
+    """Writes one MCAP file, complete or not at all. A context manager; the same calls give the same bytes.
 
-    def __init__(self, path: Path, *, resumable: bool = False):
+    resumable: Ctrl-C leaves NAME.partial. live: so does every error after the first message, and a chunk is closed
+    after half a second, so that a crash loses less than the last one."""
+
+    def __init__(self, path: Path, *, resumable: bool = False, live: bool = False):
         self.path = path
-        self._resumable = resumable
+        self._resumable, self._live = resumable, live
         self._channels: dict[str, int] = {}
         self._chunk_start = self._chunk_bytes = 0
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            partial = stack.enter_context(partial_file(self.path, resumable=self._resumable))
+            partial = stack.enter_context(partial_file(self.path, keep=self._keeps))
             file = stack.enter_context(partial.open("wb"))
             # The library's own limit is out of reach, so that chunks are closed here, by bytes and by time.
             self._writer = Writer(file, chunk_size=MAX_RECORD, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -90,7 +93,7 @@ class McapWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None:
-            if self._resumable and isinstance(error, KeyboardInterrupt):
+            if self._keeps(error):
                 with suppress(OSError):
                     self._close_chunk()
             self._stack.__exit__(kind, error, trace)
@@ -105,8 +108,7 @@ class McapWriter:
                 f"{self.path}, frame {sequence}: a message of {len(data)} bytes for {topic.name}; "
                 f"at most {MAX_RECORD // 2} fit"
             )
-        if self._chunk_bytes and log_time - self._chunk_start >= CHUNK_NS:
-            self._close_chunk()
+        self.pass_time(log_time)
         if not self._chunk_bytes:
             self._chunk_start = log_time
         self._writer.add_message(self._channel(topic), log_time, data, log_time, sequence)
@@ -114,10 +116,19 @@ class McapWriter:
         if self._chunk_bytes >= CHUNK_BYTES:
             self._close_chunk()
 
+    def pass_time(self, log_time: int) -> None:
+        """Closes the chunk if it began long before that time, though nothing may be added then."""
+        if self._chunk_bytes and log_time - self._chunk_start >= (CHUNK_NS // 2 if self._live else CHUNK_NS):
+            self._close_chunk()
+
     def metadata(self, name: str, record: Mapping[str, str]) -> None:
         """A record of names and texts, sealed with a checksum of its own: MCAP gives metadata none."""
         self._close_chunk()
         self._writer.add_metadata(name, {**record, "check": checksum(record)})
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def _keeps(self, error: BaseException) -> bool:
+        return bool(self._channels) and (self._live or (self._resumable and isinstance(error, KeyboardInterrupt)))
 
     def _channel(self, topic: Topic) -> int:
         if topic.name not in self._channels:
@@ -237,8 +248,7 @@ def _opened(path: Path) -> Iterator[BinaryIO]:
     """The file, and everything that reading broken bytes can raise as one InputError."""
     if path.suffix == ".partial":
         raise InputError(
-            f"{path} is unfinished (being written, or left by a crash): make it again from its source, or save what is "
-            "whole with openvox recover"
+            f"{path} is unfinished (being written, or left by a crash): save what is whole with openvox recover"
         )
     try:
         with path.open("rb") as file:

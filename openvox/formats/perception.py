@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import os
-import struct
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,11 +18,7 @@ from typing import Any, Self
 
 import numpy as np
 from google.protobuf.message import DecodeError
-from mcap.exceptions import McapError
-from mcap.records import Channel
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
+from numpy.typing import NDArray
 
 from openvox import __version__
 from openvox.core.digest import START, canonical_json, chain
@@ -32,7 +27,8 @@ from openvox.core.parameters import Value
 from openvox.core.types import MASK_KINDS, Mask
 from openvox.formats import perception_schemas as schemas
 from openvox.formats.detections import Box
-from openvox.formats.mcap_io import MAX_RECORD, McapWriter, Message, read_messages, read_metadata
+from openvox.formats.growing import growing_messages, growing_metadata, is_unfinished
+from openvox.formats.mcap_io import McapWriter, Message, read_messages, read_metadata
 from openvox.formats.recording import RecordingInfo
 
 FORMAT_VERSION = 1
@@ -86,21 +82,21 @@ class FrameMasks:
 class PerceptionWriter:
     """Writes a perception file, complete or not at all; a context manager. The same frames give the same bytes.
 
-    stages: of each role, name, parameters and model_digest. `frames`, `digest`: of those added so far. Raises
-    OutputError if the file cannot be written.
+    recording: a path where it is still being written: an error then leaves what there is as NAME.partial. stages: of
+    each role, name, parameters and model_digest. Raises OutputError if the file cannot be written.
     """
 
     def __init__(
         self,
         path: Path,
-        recording: RecordingInfo,
+        recording: RecordingInfo | Path,
         *,
         stages: Sequence[Mapping[str, Any]],
         encoder: str,
         dimensions: int,
     ) -> None:
         begin = begin_metadata(path, recording, stages, encoder, dimensions)
-        self._open(path, begin, encoder, dimensions)
+        self._open(path, begin, encoder, dimensions, live=isinstance(recording, Path))
 
     @classmethod
     def going_on(cls, path: Path, begin: Mapping[str, str]) -> Self:
@@ -112,13 +108,21 @@ class PerceptionWriter:
             raise InputError(f"{path}: its metadata {BEGIN_METADATA} cannot be read ({error!r})") from error
         return writer
 
-    def _open(self, path: Path, begin: dict[str, str], encoder: str, dimensions: int) -> None:
+    def _open(self, path: Path, begin: dict[str, str], encoder: str, dimensions: int, live: bool = False) -> None:
         self.path, self._begin = path, begin
         self._encoder, self.dimensions = encoder, dimensions
-        self._file = McapWriter(path, resumable=True)
-        self.frames = self._masks = 0
-        self._kinds: Counter[str] = Counter()
-        self.digest = START
+        self._file = McapWriter(path, resumable=True, live=live)
+        self._tally = _Tally(dimensions)
+
+    @property
+    def frames(self) -> int:
+        """Added so far."""
+        return self._tally.frames
+
+    @property
+    def digest(self) -> str:
+        """Of the frames added so far."""
+        return self._tally.digest
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -134,16 +138,11 @@ class PerceptionWriter:
             stack.push(self._stack.__exit__)
             if error is not None:
                 raise error
-            counts = {name: self._kinds[name] for name in MASK_KINDS if self._kinds[name]}
-            numbers = {"frames": str(self.frames), "masks": str(self._masks), "kinds": _json(counts)}
-            self._file.metadata(METADATA, {**self._begin, **numbers, "digest": self.digest})
+            self._file.metadata(METADATA, {**self._begin, **self._tally.record()})
 
     def add(self, found: FrameMasks) -> None:
         """The next frame that was looked at; frame numbers rise, and every mask has its embedding."""
-        vectors = np.zeros((len(found.masks), self.dimensions), np.float32)
-        for row, mask in zip(vectors, found.masks, strict=True):
-            assert mask.embedding is not None, f"frame {found.index}: a mask without embedding"
-            row[:] = mask.embedding
+        vectors = _vectors(found, self.dimensions)
         stamp, (det, segcap, enc) = found.stamp_ns, ((found.frame_digest, stage) for stage in found.stage_digests)
         for topic, data in (
             (schemas.DETECTIONS, schemas.encode_detections(stamp, det, found.boxes)),
@@ -152,9 +151,15 @@ class PerceptionWriter:
             (schemas.ANNOTATIONS, schemas.encode_annotations(stamp, found.masks)),
         ):
             self._file.add(topic, found.index, stamp, data)
-        self.digest = chain(self.digest, *_content(found), np.ascontiguousarray(vectors, "<f4").tobytes())
-        self.frames, self._masks = self.frames + 1, self._masks + len(found.masks)
-        self._kinds.update(mask.kind for mask in found.masks)
+        self._tally.add(found, vectors)
+
+    def skip(self, stamp_ns: int) -> None:
+        """A frame that is not looked at: nothing is written, but what waits to be written does not wait longer."""
+        self._file.pass_time(stamp_ns)
+
+    def describe(self, **more: str) -> None:
+        """Metadata that are known only now; the record at the end has them."""
+        self._begin = self._begin | more
 
     def info(self) -> PerceptionInfo:
         """What was written; only after the block has ended."""
@@ -162,18 +167,51 @@ class PerceptionWriter:
 
 
 def begin_metadata(
-    path: Path, recording: RecordingInfo, stages: Sequence[Mapping[str, Any]], encoder: str, dimensions: int
+    path: Path, recording: RecordingInfo | Path, stages: Sequence[Mapping[str, Any]], encoder: str, dimensions: int
 ) -> dict[str, str]:
-    """What a file at `path` says of itself before its first frame."""
+    """What a file at `path` says of itself before its first frame. recording: a path where it is still written."""
+    of, digest = (recording, "") if isinstance(recording, Path) else (recording.path, recording.digest)
     return {
         "format_version": str(FORMAT_VERSION),
         "openvox_version": __version__,
-        "recording": Path(os.path.relpath(recording.path.resolve(), path.parent.resolve())).as_posix(),
-        "recording_digest": recording.digest,
+        "recording": Path(os.path.relpath(of.resolve(), path.parent.resolve())).as_posix(),
+        "recording_digest": digest,
         "encoder": encoder,
         "dimensions": str(dimensions),
         "stages": _json(list(stages)),
     }
+
+
+@dataclass
+class _Tally:
+    """What is counted while frames are written, or found in an unfinished file."""
+
+    dimensions: int
+    digest: str = START
+    frames: int = 0
+    masks: int = 0
+    kinds: Counter[str] = field(default_factory=Counter)
+
+    def add(self, found: FrameMasks, vectors: NDArray[np.float32]) -> None:
+        """The next frame with its masks' vectors."""
+        self.digest = chain(self.digest, *_content(found), np.ascontiguousarray(vectors, "<f4").tobytes())
+        self.frames, self.masks = self.frames + 1, self.masks + len(found.masks)
+        self.kinds.update(mask.kind for mask in found.masks)
+
+    def record(self) -> dict[str, str]:
+        """As the metadata at the end have it."""
+        counts = {name: self.kinds[name] for name in MASK_KINDS if self.kinds[name]}
+        numbers = {"frames": str(self.frames), "masks": str(self.masks), "kinds": _json(counts)}
+        return {**numbers, "digest": self.digest}
+
+
+def _vectors(found: FrameMasks, dimensions: int) -> NDArray[np.float32]:
+    """(masks, dimensions)."""
+    vectors = np.zeros((len(found.masks), dimensions), np.float32)
+    for row, mask in zip(vectors, found.masks, strict=True):
+        assert mask.embedding is not None, f"frame {found.index}: a mask without embedding"
+        row[:] = mask.embedding
+    return vectors
 
 
 def _content(found: FrameMasks) -> Iterator[bytes]:
@@ -190,8 +228,8 @@ def _content(found: FrameMasks) -> Iterator[bytes]:
 
 
 def perception_info(path: Path) -> PerceptionInfo:
-    """What the perception file says about itself. Raises InputError."""
-    record = read_metadata(path, METADATA, newest=FORMAT_VERSION)
+    """What the perception file says about itself; of an unfinished one what its whole frames say. Raises InputError."""
+    record = _counted_record(path) if is_unfinished(path) else read_metadata(path, METADATA, newest=FORMAT_VERSION)
     try:
         stages = tuple(json.loads(record["stages"]))
         return PerceptionInfo(
@@ -212,6 +250,15 @@ def perception_info(path: Path) -> PerceptionInfo:
         raise InputError(f"{path}: its metadata {METADATA} cannot be read ({error!r}); run perceive again") from error
 
 
+def _counted_record(path: Path) -> dict[str, str]:
+    """As the metadata at the end of an unfinished file would be, had it been finished here."""
+    begin = growing_metadata(path, BEGIN_METADATA, newest=FORMAT_VERSION)
+    tally = _Tally(int(begin.get("dimensions", "0")))
+    for found in read_unfinished(path):
+        tally.add(found, _vectors(found, tally.dimensions))
+    return {**begin, **tally.record()}
+
+
 def read_masks(
     path: Path, *, start: int | None = None, end: int | None = None, boxes: bool = False
 ) -> Iterator[FrameMasks]:
@@ -222,13 +269,15 @@ def read_masks(
     info = perception_info(path)
     topics = {schemas.MASKS.name, schemas.EMBEDDINGS.name, *([schemas.DETECTIONS.name] if boxes else [])}
     count = 0
-    for found in _frames(path, read_messages(path, topics, from_sequence=start or 0), len(topics)):
+    whole = _frames(path, read_messages(path, topics, from_sequence=start or 0), len(topics))
+    unfinished = (found for found in read_unfinished(path) if found.index >= (start or 0))
+    for found in unfinished if is_unfinished(path) else whole:
         if end is not None and found.index >= end:
             return
         _check_embeddings(path, found, info.dimensions)
         yield found
         count += 1
-    if start is None and count != info.frames:
+    if start is None and count != info.frames and not is_unfinished(path):  # more may have come meanwhile
         raise InputError(f"{path} holds {count} frames, its metadata say {info.frames}; run perceive again")
 
 
@@ -261,19 +310,7 @@ def read_unfinished(path: Path) -> Iterator[FrameMasks]:
     """The whole frames, with boxes, of a file whose writing was interrupted: up to the first damage, and no error."""
     topics = {schemas.DETECTIONS.name, schemas.MASKS.name, schemas.EMBEDDINGS.name}
     with suppress(InputError):
-        yield from _frames(path, _whole_messages(path, topics), len(topics))
-
-
-def _whole_messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
-    """The messages of the whole chunks; the file has no summary to rely on."""
-    names: dict[int, str] = {}
-    with path.open("rb") as file, suppress(McapError, ZstdError, struct.error, UnicodeDecodeError, OSError):
-        for record in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD).records:
-            if isinstance(record, Channel):
-                names[record.id] = record.topic
-            elif isinstance(record, McapMessage) and names.get(record.channel_id) in topics:
-                data = memoryview(record.data)
-                yield Message(names[record.channel_id], record.sequence, record.log_time, data)
+        yield from _frames(path, growing_messages(path, topics), len(topics))
 
 
 def _frames(path: Path, messages: Iterable[Message], wanted: int) -> Iterator[FrameMasks]:

@@ -6,7 +6,6 @@ Topics and messages are in formats.schemas, what makes a frame of them in format
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,13 +14,20 @@ from types import TracebackType
 from typing import Any, Self
 
 from openvox import __version__
-from openvox.core.digest import START, frame_digest, recording_link
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Rig
 from openvox.formats import schemas
 from openvox.formats.ahead import read_ahead
 from openvox.formats.frames import NEEDED, check_color, decode_frame, encode_frame
+from openvox.formats.growing import (
+    Wait,
+    growing_messages,
+    growing_metadata,
+    is_unfinished,
+    whole_groups,
+)
 from openvox.formats.mcap_io import McapWriter, Message, Topic, read_messages, read_metadata, read_topics
+from openvox.formats.tally import Numbers, Tally, reasons
 
 FORMAT_VERSION = 1
 METADATA = "openvox.recording"
@@ -30,7 +36,7 @@ BEGIN_METADATA = "openvox.recording.begin"
 
 MAX_STAMP_NS = (1 << 31) * 10**9
 """Stamps end before 2038: ROS counts seconds in 32 bits."""
-MAX_RANGES = 1000
+_TOPICS = frozenset(topic.name for topic in schemas.TOPICS)
 
 
 @dataclass(frozen=True)
@@ -66,8 +72,9 @@ class RecordingInfo:
 class RecordingWriter:
     """Writes a recording, complete or not at all; a context manager. Memory does not grow with the frames' pixels.
 
-    source: kind of the source. depth_unit: that of the source. extra: further metadata. The same frames give the same
-    bytes. Raises InputError for a frame that cannot follow the last one, OutputError if the file cannot be written.
+    source: kind of the source. depth_unit: that of the source. extra: further metadata. live: an error leaves what was
+    written as NAME.partial. The same frames give the same bytes.
+    Raises InputError for a frame that cannot follow the last one, OutputError if the file cannot be written.
     """
 
     def __init__(
@@ -78,6 +85,7 @@ class RecordingWriter:
         depth_unit: str = "mm",
         categories: Mapping[int, str] | None = None,
         extra: Mapping[str, str] | None = None,
+        live: bool = False,
     ):
         self.path = path
         self._begin = {
@@ -88,15 +96,15 @@ class RecordingWriter:
             "categories": _json({str(number): name for number, name in sorted((categories or {}).items())}),
             **(extra or {}),
         }
-        self._file = McapWriter(path)
-        self.digest = START
-        """Of the frames added so far."""
-        self._frames, self._path_length = 0, 0.0
-        self._first: Frame | None = None
-        self._last: Frame | None = None
+        self._file = McapWriter(path, live=live)
+        self._tally = Tally()
         self._last_index = -1
-        self._has_color = self._has_truth = False
-        self._dropped: dict[str, _Numbers] = {}
+        self._dropped: dict[str, Numbers] = {}
+
+    @property
+    def digest(self) -> str:
+        """Of the frames added so far."""
+        return self._tally.digest
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -119,20 +127,14 @@ class RecordingWriter:
         self._check(frame)
         for topic, data in (*encode_frame(frame), *others):
             self._file.add(topic, frame.index, frame.stamp_ns, data)
-        self.digest = recording_link(self.digest, frame_digest(frame), frame)
-        if self._last is not None:
-            here, there = frame.world_from_depth.translation, self._last.world_from_depth.translation
-            self._path_length += math.dist(here, there)
-        self._first, self._last = self._first or frame, frame
-        self._frames, self._last_index = self._frames + 1, frame.index
-        self._has_color |= bool(frame.color)
-        self._has_truth |= frame.truth_instances is not None
+        self._tally.add(frame)
+        self._last_index = frame.index
 
     def drop(self, index: int, reason: str) -> None:
         """Notes that frame `index` of the source is left out; its number stays free."""
         self._check_index(index)
         self._last_index = index
-        self._dropped.setdefault(reason, _Numbers()).add(index)
+        self._dropped.setdefault(reason, Numbers()).add(index)
 
     def describe(self, **more: str) -> None:
         """Metadata that are known only now; the record at the end has them."""
@@ -147,10 +149,11 @@ class RecordingWriter:
         self._check_index(frame.index)
         if not 0 <= frame.stamp_ns < MAX_STAMP_NS:
             raise InputError(f"{where}: stamp {frame.stamp_ns} ns; expected seconds between 0 and 2**31")
-        if self._last is not None and frame.stamp_ns <= self._last.stamp_ns:
+        last = self._tally.last
+        if last is not None and frame.stamp_ns <= last.stamp_ns:
             raise InputError(
-                f"{where}: stamp {frame.stamp_ns} ns comes not after the {self._last.stamp_ns} ns of frame "
-                f"{self._last.index}; stamps must rise"
+                f"{where}: stamp {frame.stamp_ns} ns comes not after the {last.stamp_ns} ns of frame "
+                f"{last.index}; stamps must rise"
             )
         try:
             check_color(frame)
@@ -165,25 +168,17 @@ class RecordingWriter:
             )
 
     def _finish(self) -> None:
-        if self._first is None or self._last is None:
-            raise InputError(f"{self.path}: there is no frame to record{_reasons(self._dropped)}")
-        record = {
-            "frames": str(self._frames),
-            "first": str(self._first.index),
-            "last": str(self._last.index),
-            "seconds": repr((self._last.stamp_ns - self._first.stamp_ns) / 1e9),
-            "path_length_m": repr(self._path_length),
-            "has_color": _json(self._has_color),
-            "has_truth": _json(self._has_truth),
-            "dropped": _json({reason: numbers.summary() for reason, numbers in sorted(self._dropped.items())}),
-            "digest": self.digest,
-        }
+        if not self._tally.frames:
+            raise InputError(f"{self.path}: there is no frame to record{reasons(self._dropped)}")
+        dropped = {reason: numbers.summary() for reason, numbers in sorted(self._dropped.items())}
+        record = {**self._tally.record(), "dropped": _json(dropped)}
         self._file.metadata(METADATA, self._begin | record)
 
 
 def recording_info(path: Path) -> RecordingInfo:
-    """What the recording says about itself, and its first frame's cameras. Raises InputError."""
-    record = _metadata(path)
+    """What the recording says about itself, and its first frame's cameras; of an unfinished one what its whole frames
+    say. Raises InputError."""
+    record = _counted_record(path) if is_unfinished(path) else _metadata(path)
     first = next(_frames(path, None, None, 1, truth=False), None)
     if first is None:
         raise InputError(f"{path} holds no frame; make it again from its source")
@@ -216,13 +211,13 @@ def read_frames(
     """The frames of a recording in order, read by a thread that is up to `ahead` frames further on (0: no thread).
 
     start, end (exclusive) and stride mean frame numbers. truth: False leaves truth images undecoded.
-    The file is opened and its end checked at once. Raises InputError: here for an unfinished, cut or foreign file,
-    while iterating for damage further in."""
+    The file is opened and its end checked at once; an unfinished one (NAME.partial) is read as far as it is whole.
+    Raises InputError: here for a cut or foreign file, while iterating for damage further in."""
     if stride < 1:
         raise InputError(f"stride is {stride}; expected 1 or more")
     record = _metadata(path)
     frames = _frames(path, start, end, stride, truth)
-    if start is None and end is None and stride == 1:
+    if start is None and end is None and stride == 1 and not is_unfinished(path):
         frames = _counted(path, frames, record)
     return read_ahead(frames, ahead)
 
@@ -236,6 +231,8 @@ def _metadata(path: Path) -> dict[str, str]:
     """The recording's metadata; its topics are checked, too."""
     if not path.exists():
         raise InputError(f"there is no file {path}")
+    if is_unfinished(path):
+        return growing_metadata(path, BEGIN_METADATA, newest=FORMAT_VERSION)
     record = read_metadata(path, METADATA, newest=FORMAT_VERSION)
     topics = read_topics(path)
     for topic in schemas.TOPICS:
@@ -253,11 +250,44 @@ def _metadata(path: Path) -> dict[str, str]:
     return record
 
 
+def _counted_record(path: Path) -> dict[str, str]:
+    """As the metadata at the end of an unfinished file would be, had it been finished here."""
+    begin, tally = _metadata(path), Tally()
+    for frame in _frames(path, None, None, 1, truth=True):
+        tally.add(frame)
+    if not tally.frames:
+        raise InputError(f"{path} holds no whole frame yet; record anew, or wait until there is one")
+    return {**begin, **tally.record(), "dropped": "{}"}
+
+
+def following(path: Path, wait: Wait) -> Generator[Frame, None, None]:
+    """The frames of a recording that may still be written; `wait` is called at what is its end for now: True = look
+    again, False = end. Raises InputError."""
+    growing_metadata(path, BEGIN_METADATA, newest=FORMAT_VERSION, wait=wait)
+    yield from _decoded(path, whole_groups(_grouped(path, growing_messages(path, _TOPICS, wait))), None, None, 1, True)
+
+
 def _frames(path: Path, start: int | None, end: int | None, stride: int, truth: bool) -> Iterator[Frame]:
-    """Selected frames in file order, checked against their predecessors."""
+    """Selected frames in file order."""
+    if is_unfinished(path):
+        groups = whole_groups(_grouped(path, growing_messages(path, _TOPICS)))
+    else:
+        groups = _grouped(path, read_messages(path, _TOPICS, from_sequence=start or 0))
+    return _decoded(path, groups, start, end, stride, truth)
+
+
+def _decoded(
+    path: Path,
+    groups: Iterator[Mapping[str, Message]],
+    start: int | None,
+    end: int | None,
+    stride: int,
+    truth: bool,
+) -> Iterator[Frame]:
+    """Selected frames, checked against their predecessors."""
     last = (-1, -1)
     rig: Rig | None = None
-    for messages in _grouped(path, {topic.name for topic in schemas.TOPICS}, start or 0):
+    for messages in groups:
         head = next(iter(messages.values()))
         here = (head.sequence, head.log_time)
         if here[0] <= last[0] or here[1] <= last[1]:
@@ -274,11 +304,11 @@ def _frames(path: Path, start: int | None, end: int | None, stride: int, truth: 
             yield frame
 
 
-def _grouped(path: Path, topics: set[str], start: int) -> Iterator[dict[str, Message]]:
+def _grouped(path: Path, messages: Iterable[Message]) -> Iterator[Mapping[str, Message]]:
     """The messages of each frame by topic."""
     group: dict[str, Message] = {}
     head: Message | None = None
-    for message in read_messages(path, topics, from_sequence=start):
+    for message in messages:
         if head is None or message.sequence != head.sequence:
             if group:
                 yield group
@@ -308,31 +338,6 @@ def _counted(path: Path, frames: Iterator[Frame], record: Mapping[str, str]) -> 
 
 def _categories(text: str) -> list[tuple[int, str]]:
     return sorted((int(number), str(name)) for number, name in json.loads(text).items())
-
-
-class _Numbers:
-    """Rising frame numbers, kept as at most MAX_RANGES ranges; the count is always exact."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._ranges: list[list[int]] = []
-
-    def add(self, number: int) -> None:
-        self.count += 1
-        if self._ranges and self._ranges[-1][1] == number - 1:
-            self._ranges[-1][1] = number
-        elif len(self._ranges) < MAX_RANGES:
-            self._ranges.append([number, number])
-
-    def summary(self) -> dict[str, Any]:
-        """count, and the first ranges, both ends included."""
-        return {"count": self.count, "ranges": self._ranges}
-
-
-def _reasons(dropped: Mapping[str, _Numbers]) -> str:
-    """What was dropped, for a sentence."""
-    parts = ", ".join(f"{numbers.count} with {reason}" for reason, numbers in sorted(dropped.items()))
-    return f" (dropped: {parts})" if parts else ""
 
 
 def _json(value: Any) -> str:

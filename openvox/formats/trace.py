@@ -73,17 +73,17 @@ def decision_link(previous: str, frame: int, decisions: Sequence[Mapping[str, An
 class TraceWriter:
     """An observer that writes the trace in a thread of its own, complete or not at all; a context manager.
 
-    run: what the trace says of its run. digest: the link to go on from, where a run is resumed. `digest` is whole
-    after `close`."""
+    run: what the trace says of its run. digest: the link to go on from, where a run is resumed. live: an error leaves
+    what was written as NAME.partial. `digest` is whole after `close`."""
 
-    def __init__(self, path: Path, run: Mapping[str, Any], digest: str = START) -> None:
+    def __init__(self, path: Path, run: Mapping[str, Any], digest: str = START, *, live: bool = False) -> None:
         self.path = path
         self._begin = {
             "format_version": str(FORMAT_VERSION),
             "openvox_version": __version__,
             "run": json.dumps(run, sort_keys=True),
         }
-        self._file = McapWriter(path)
+        self._file = McapWriter(path, live=live)
         self._steps: queue.Queue[Step | None] = queue.Queue(_WAITING)
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._work, name="trace", daemon=True)
@@ -107,6 +107,10 @@ class TraceWriter:
     ) -> None:
         self._stop()
         self._stack.__exit__(kind, error, trace)
+
+    def describe(self, run: Mapping[str, Any]) -> None:
+        """What the trace says of its run, where it was not all known before."""
+        self._begin["run"] = json.dumps(run, sort_keys=True)
 
     def on_step(self, step: Step) -> None:
         """Hand a step to the thread. Raises what the thread met, OutputError for a full disk."""

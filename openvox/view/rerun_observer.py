@@ -19,7 +19,7 @@ import rerun as rr
 from openvox.core.errors import OutputError
 from openvox.core.types import Event, Frame, InstanceMap, Step
 from openvox.formats.atomic import partial_file
-from openvox.view import decision_table, entities
+from openvox.view import decision_table, entities, viewer
 from openvox.view.blueprint import blueprint, overview
 from openvox.view.decision_graph import decision_graph
 from openvox.view.labels import Captions
@@ -39,8 +39,9 @@ LEVELS = {"new": rr.TextLogLevel.INFO, "confirmed": rr.TextLogLevel.INFO, "dropp
 
 
 class RerunObserver:
-    """Writes `path` (.rrd) while steps come; the file appears when `close` is called, and not at all after `abort`.
+    """Writes `target` (.rrd) while steps come; the file appears when `close` is called, and not at all after `abort`.
 
+    target: or the URL of a viewer, which is shown the steps instead; InputError where none listens.
     voxel_size: metres. images: "none", "jpeg" (colour as JPEG, no depth) or "all". every: draw the map and log pictures
     at each so many-th step only; decisions, events and statistics are logged at all. camera: False where steps come
     without true poses: neither camera nor pictures are logged. earlier: the map that the run goes on from, whose voxels
@@ -54,7 +55,7 @@ class RerunObserver:
 
     def __init__(
         self,
-        path: Path,
+        target: Path | str,
         *,
         voxel_size: float,
         images: Images = "jpeg",
@@ -69,9 +70,11 @@ class RerunObserver:
         self._captions, self._lives = Captions(earlier), Lives(earlier)
         self._camera: Frame | None = None  # the last one with a true pose
         self._frame: Frame | None = None
-        self._recording = rr.RecordingStream(entities.APPLICATION, send_properties=False, batcher_config=BATCHES)
+        batches = BATCHES if isinstance(target, Path) else None  # who watches does not want to wait
+        self._recording = rr.RecordingStream(entities.APPLICATION, send_properties=False, batcher_config=batches)
+        self._partial: Path | None = None
         self._has_camera, self._with_pictures = camera, camera and images != "none"
-        self._open(path)
+        self._open(target)
         self._instances = Instances(self._log, voxel_size, self._map, self._captions)
         self._pictures = (
             Pictures(self._log, images, voxel_size, self._map, self._captions) if self._with_pictures else None
@@ -124,7 +127,8 @@ class RerunObserver:
                 self._instances.finish_without()
             self._recording.flush()
             self._recording.disconnect()
-            _check_whole(self._partial)
+            if self._partial is not None:
+                _check_whole(self._partial)
 
     def abort(self) -> None:
         """Give up: nothing is left behind. After `close` nothing happens."""
@@ -144,18 +148,23 @@ class RerunObserver:
                 "check the space on the disk"
             ) from error
 
-    def _open(self, path: Path) -> None:
-        self._path = path
-        with ExitStack() as stack:
-            self._partial = stack.enter_context(partial_file(path))
-            try:
-                self._recording.save(self._partial, default_blueprint=blueprint(pictures=self._with_pictures))
-            except RuntimeError as error:  # what Rerun makes of the system's refusal
-                raise OSError(str(error)) from error
-            self._file = stack.pop_all()
+    def _open(self, target: Path | str) -> None:
+        self._path, self._file = target, ExitStack()
+        layout = blueprint(pictures=self._with_pictures)
+        if isinstance(target, str):
+            viewer.check_url(target)
+            self._recording.connect_grpc(target, default_blueprint=layout)
+        else:
+            with ExitStack() as stack:
+                self._partial = stack.enter_context(partial_file(target))
+                try:
+                    self._recording.save(self._partial, default_blueprint=layout)
+                except RuntimeError as error:  # what Rerun makes of the system's refusal
+                    raise OSError(str(error)) from error
+                self._file = stack.pop_all()
         self._recording.set_log_time_enabled(False)
         self._recording.set_log_tick_enabled(False)
-        self._recording.send_recording_name(path.stem)
+        self._recording.send_recording_name("live" if isinstance(target, str) else target.stem)
         self._log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log(entities.INSTANCE_COUNT, rr.SeriesLines(names=["instances"]), static=True)
         self._log(entities.VOXEL_COUNT, rr.SeriesLines(names=["voxels"]), static=True)

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from openvox.core.errors import InputError
 
@@ -84,6 +84,17 @@ def serve_web(files: Sequence[Path], bind: str, port: int, ready: Callable[[str]
         except KeyboardInterrupt:
             return
     raise InputError("Rerun's server ended by itself; is there enough memory?")
+
+
+def check_url(url: str) -> None:
+    """Raises InputError unless a viewer listens where `url` says, as in rerun+http://127.0.0.1:9876/proxy."""
+    parts = urlsplit(url)
+    try:
+        if parts.scheme not in ("rerun+http", "rerun+https") or not parts.hostname or not parts.port:
+            raise ValueError("expected rerun+http://HOST:PORT/proxy")
+        socket.create_connection((parts.hostname, parts.port), timeout=PATIENCE).close()
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Rerun viewer can be reached at {url} ({error}); start one with: rerun") from None
 
 
 def free_port(bind: str, port: int = 0) -> int:

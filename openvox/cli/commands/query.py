@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from openvox.cli import options, tables
 
-EXAMPLES = ('openvox query living.map.npz "somewhere to sit" "something to drink from" --top 3',)
+EXAMPLES = (
+    'openvox query living.map.npz "somewhere to sit" "something to drink from" --top 3',
+    'openvox query --live 127.0.0.1:40911 "a chair"',
+)
 
 
 def query(
-    map_file: options.MapFile,
-    text: Annotated[list[str], typer.Argument(metavar="TEXT...", help="What you look for, in words.")],
+    words: Annotated[
+        list[str], typer.Argument(metavar="[MAP] TEXT...", help="STEM.map.npz, and what you look for, in words.")
+    ],
+    live: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Ask a live run, as it prints it; then without MAP.")
+    ] = None,
     top: Annotated[int, typer.Option(min=1, metavar="K", help="Answers a text.")] = 3,
     models: options.AskingModels = None,
     json: options.Json = False,
@@ -21,15 +29,16 @@ def query(
     """Ask a map in words: what fits best, and where it is."""
     from openvox.apps import query as application
 
-    tables.show(
-        application.query(map_file, text, top=top, models=models),
-        json,
-        print_result,
-        "openvox",
-        "export",
-        map_file,
-        "map.ply",
-    )
+    if live is not None:
+        if models is not None:
+            raise typer.BadParameter("--models: a live run encodes what it is asked itself; leave it out")
+        tables.show(application.query_live(live, words, top=top), json, print_result)
+        return
+    map_file, *texts = words
+    if not texts:
+        raise typer.BadParameter('expected a map and what you look for, as in: living.map.npz "a chair"')
+    result = application.query(Path(map_file), texts, top=top, models=models)
+    tables.show(result, json, print_result, "openvox", "export", map_file, "map.ply")
 
 
 def print_result(data: tables.Data) -> None:
