@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any
 from openvox.apps.living.gauge import Gauge, Status
 from openvox.apps.living.intake import CAPACITY, Arrival, intake
 from openvox.apps.living.looking import LiveFrontend
-from openvox.apps.living.opening import Stream, open_recording
+from openvox.apps.living.opening import Stream, open_recording, open_server
 from openvox.apps.living.questions import Questions
 from openvox.apps.living.shared_map import SharedMap, Snapshots
 from openvox.apps.loop import Observer, run
@@ -43,7 +43,7 @@ from openvox.formats.recording import RecordingWriter
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
 from openvox.mapper.mapper import Mapper
-from openvox.sources.source import Dropped
+from openvox.sources.source import Dropped, Options
 
 SCHEMES = ("ws://", "wss://")
 
@@ -105,6 +105,9 @@ def live(
     stride: int = 1,
     waiting: int = CAPACITY,
     port: int = 0,
+    world: str | None = None,
+    camera: str | None = None,
+    topics: Mapping[str, str] | None = None,
     stop: threading.Event | None = None,
     status: Callable[[Status], None] = lambda status: None,
     ready: Callable[[str], None] = lambda address: None,
@@ -112,8 +115,9 @@ def live(
 ) -> dict[str, Any]:
     """Map a stream while it comes, and write STEM.mcap, STEM.perception.mcap, STEM.trace.mcap and STEM.map.npz.
 
-    source: a recording, played `rate` times as fast as it was made or, with follow, as it is written. waiting: frames
-    that may wait; of more, the oldest is recorded but not mapped. port: of the loopback, to answer questions on; 0 =
+    source: a recording, played `rate` times as fast as it was made or, with follow, as it is written; or ws://HOST:PORT,
+    a Foxglove server, of which world, camera and topics choose as of a log. waiting: frames that may wait; of more,
+    the oldest is recorded but not mapped. port: of the loopback, to answer questions on; 0 =
     any, and `ready` is told the address. connect: URL of a Rerun viewer. stop: set to end the run well, with what has
     come until then. status: told after every frame. The rest as replay's; so is the result, with `dropped`,
     `latency_ms`, and in `ms` also `record` and `perceive`. Raises InputError, OutputError: what was written so far
@@ -122,16 +126,22 @@ def live(
     if not 1e-3 <= rate <= 1e6:
         raise InputError(f"--rate is {rate}; expected 0.001 to 1000000 times the recording's pace")
     watch, stop = Stopwatch(), stop or threading.Event()
-    stream = open_recording(
-        Path(source),
-        rate=rate,
-        follow=follow,
-        perception=perception,
-        frontend=frontend,
-        chosen=(start, end, stride),
-        stop=stop,
-        decoded=lambda seconds: watch.times.setdefault("decode", []).append(1000 * seconds),
-    )
+    if source.startswith(SCHEMES):
+        options = Options(start=start, end=end, stride=stride, world=world, camera=camera, topics=topics or {})
+        stream = open_server(source, perception=perception, frontend=frontend, options=options, stop=stop)
+    else:
+        stream = open_recording(
+            Path(source),
+            rate=rate,
+            follow=follow,
+            perception=perception,
+            frontend=frontend,
+            chosen=(start, end, stride),
+            stop=stop,
+            decoded=lambda seconds: watch.times.setdefault("decode", []).append(1000 * seconds),
+        )
+    for note in stream.notes:
+        notice(note)
     files = LiveFiles.of(Path(out) if out else stream.stem, rerun)
     files.check(stream.inputs)
     replaced = [str(path) for path in files.all if path.exists()]

@@ -52,7 +52,7 @@ def messages(
     with _reader(path) as reader:
         for schema, channel, message in reader.iter_messages(topics=list(topics)):
             if channel.message_encoding == "protobuf" and schema.name in KINDS:
-                yield message.log_time, channel.topic, _item(channel.topic, schema.name, message.data)
+                yield message.log_time, channel.topic, item(channel.topic, schema.name, message.data)
             elif others is not None:
                 yield message.log_time, channel.topic, others(channel.topic, schema.name, message.data)
 
@@ -72,7 +72,8 @@ def _reader(path: Path) -> Iterator[Any]:
         raise InputError(f"{path} could not be read as MCAP ({text:.300}); is it whole?") from error
 
 
-def _item(topic: str, schema: str, data: bytes) -> Item:
+def item(topic: str, schema: str, data: bytes) -> Item:
+    """A protobuf message of one of the KINDS. Raises DecodeError."""
     if schema == "foxglove.CompressedImage":
         image = CompressedImage.FromString(data)
         return Picture(_stamp(image), image.frame_id, "compressed", image.data)
@@ -83,7 +84,7 @@ def _item(topic: str, schema: str, data: bytes) -> Item:
         c = CameraCalibration.FromString(data)
         return Calibration(c.frame_id, c.width, c.height, tuple(c.K), tuple(c.D), c.distortion_model, tuple(c.P))
     if schema == "foxglove.FrameTransforms":
-        return tuple(one for item in FrameTransforms.FromString(data).transforms for one in _transform(item))
+        return tuple(one for part in FrameTransforms.FromString(data).transforms for one in _transform(part))
     if schema == "foxglove.FrameTransform":
         return _transform(FrameTransform.FromString(data))
     pose = PoseInFrame.FromString(data)

@@ -59,7 +59,8 @@ Item = Picture | Calibration | tuple[Transform, ...]
 class Log:
     """An opened log. `read`: (time of logging in ns, topic, item) of some topics, in the order of logging."""
 
-    path: Path
+    path: Path | str
+    """A file, or a server's address."""
     kind: str
     topics: Mapping[str, TopicKind]
     read: Callable[[Collection[str]], Iterator[tuple[int, str, Item]]]

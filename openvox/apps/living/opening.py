@@ -16,7 +16,7 @@ from openvox.formats.growing import final_name, finished_or_not
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
 from openvox.formats.recording import following, read_frames, recording_info, selected
 from openvox.sources.paced import paced
-from openvox.sources.source import Dropped
+from openvox.sources.source import Dropped, Options
 
 LOOK_AGAIN = 0.05
 """Seconds between two looks at the end of a file that is still written."""
@@ -72,6 +72,19 @@ def open_recording(
     frames = paced(_timed(recorded, decoded), rate, stop)
     eyes = cached(masks) if masks else front_end(frontend or "offline")
     return Stream(info.source, info.depth_unit, info.categories, frames, eyes, stem, inputs, info.frames)
+
+
+def open_server(
+    url: str, *, perception: Path | None, frontend: LiveFrontend | None, options: Options, stop: threading.Event
+) -> Stream:
+    """A Foxglove WebSocket server: what it sends until it goes, or `stop` is set. Raises InputError."""
+    if perception is not None:
+        raise InputError(f"--perception {perception}: frames that nobody has seen before have none; leave it out")
+    from openvox.sources.foxglove_stream import read
+
+    eyes = front_end(frontend or "offline")
+    source = read(url, options, stop)
+    return Stream(source.kind, source.depth_unit, {}, source.frames, eyes, Path("live"), (), 0, source.notes)
 
 
 def _chosen(frames: Iterator[Frame], start: int | None, end: int | None, stride: int) -> Iterator[Frame]:

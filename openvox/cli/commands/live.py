@@ -22,13 +22,17 @@ if TYPE_CHECKING:
 EXAMPLES = (
     "openvox live living.mcap --rate 2 --out robot",
     "openvox live robot.mcap.partial --follow --frontend geometry",
+    "openvox live ws://127.0.0.1:8765 --out robot",
 )
 REDRAW_SECONDS = 0.2
 SAY_SECONDS = 5.0
 
 
 def live(
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="A recording to play, or to follow while it grows.")],
+    source: Annotated[
+        str,
+        typer.Argument(metavar="SOURCE", help="A recording to play or follow, or a Foxglove server: ws://HOST:PORT."),
+    ],
     rate: Annotated[float, typer.Option(metavar="R", help="Times the recording's own pace.")] = 1.0,
     follow: Annotated[bool, typer.Option("--follow", help="The recording is still being written.")] = False,
     perception: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
@@ -54,6 +58,15 @@ def live(
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="Answer query --live there, on 127.0.0.1; 0 = any.")
     ] = 0,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option("--topic", metavar="ROLE=NAME", help="Server: color, depth, color_info, depth_info, pose."),
+    ] = None,
+    world: Annotated[
+        str | None,
+        typer.Option(metavar="FRAME", help="Server: the frame to map in; map, odom or world if it is there."),
+    ] = None,
+    camera: Annotated[str | None, typer.Option(metavar="FRAME", help="Server: the frame whose pose is wanted.")] = None,
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
     connect: Annotated[
         str | None, typer.Option(metavar="URL", help="Show it in a Rerun viewer, as rerun+http://127.0.0.1:9876/proxy.")
@@ -90,6 +103,9 @@ def live(
             stride=stride,
             waiting=waiting,
             port=port,
+            world=world,
+            camera=camera,
+            topics=options.pairs("--topic", topics or []),
             stop=stop,
             status=shown_status(),
             ready=lambda address: typer.echo(f'ask it: openvox query --live {address} "a chair"', err=True),
