@@ -134,6 +134,17 @@ def test_when_behind_the_oldest_that_wait_are_skipped_and_keep_their_place() -> 
     assert not arrivals[1].frame.depth.any(), "pixels of a skipped frame are let go"
 
 
+@pytest.mark.parametrize(("frontend", "waiting"), [(None, 4), ("geometry", 1)])
+def test_who_looks_now_looks_at_the_newest_frame_and_a_cache_at_those_that_wait(
+    played: Path, frontend: Any, waiting: int
+) -> None:
+    options = {"rate": 1.0, "follow": False, "perception": None, "chosen": (None, None, 1)}
+    stream = opening.open_recording(
+        played, frontend=frontend, stop=threading.Event(), decoded=lambda seconds: None, **options
+    )
+    assert stream.waiting == waiting
+
+
 def test_skipped_frames_are_marked_counted_and_skipped_by_replay(
     played: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import threading
 import time
@@ -142,3 +143,70 @@ def test_where_nobody_listens_or_something_else_does_is_a_sentence(tmp_path: Pat
 def test_a_perception_of_frames_to_come_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frames that nobody has seen before have none"):
         live("ws://127.0.0.1:1", perception=tmp_path / "a.perception.mcap")
+
+
+# ---- and the other way: the map as others see it ---------------------------------------------------------------------
+
+
+def test_boxes_captions_and_changed_voxels_are_published(tmp_path: Path) -> None:
+    from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+    from websockets.sync.client import connect
+    from worlds import truth_masks
+
+    from openvox.core.mapper_parameters import PRESETS
+    from openvox.core.parameters import updated
+    from openvox.mapper.mapper import Mapper
+    from openvox.view.foxglove_publisher import FoxglovePublisher
+
+    mapper = Mapper(updated(PRESETS["openvox"], {"masks.min_pixels": 0}, source="test"))
+    boxes, clouds = dict[str, Any](), list[PointCloud]()
+    publisher = FoxglovePublisher(0, voxel_size=0.04)
+    with publisher, connect(publisher.url, subprotocols=["foxglove.sdk.v1"], proxy=None) as watcher:
+        offered: dict[str, int] = {}
+        while len(offered) < 2:
+            said = json.loads(watcher.recv(timeout=30))
+            offered |= {one["topic"]: one["id"] for one in said.get("channels", [])}
+        asked = [{"id": number, "channelId": number} for number in offered.values()]
+        watcher.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+        time.sleep(0.3)
+        for frame in tiny_frames(4):
+            publisher.on_step(mapper.step(frame, truth_masks(frame)))
+        result = mapper.finish()
+        publisher.close(result)
+        while not (clouds and clouds[-1].timestamp.ToNanoseconds() == tiny_frames(4)[-1].stamp_ns and boxes):
+            data = watcher.recv(timeout=30)
+            if isinstance(data, str):
+                continue
+            number, content = int.from_bytes(data[1:5], "little"), data[13:]
+            if number == offered["/openvox/voxels"]:
+                clouds.append(PointCloud.FromString(content))
+            else:
+                boxes |= {entity.id: entity for entity in SceneUpdate.FromString(content).entities}
+    clouds = [cloud for cloud in clouds if cloud.data]
+    assert len(clouds) == 4
+    assert {str(i) for i in result.instance_id} <= boxes.keys()
+    assert boxes["1"].texts[0].text.startswith("1: thing ")
+    points = np.frombuffer(clouds[0].data, [(axis, "<f4") for axis in "xyz"] + [("instance", "<u4"), ("rgba", "<u4")])
+    assert set(points["instance"]) >= {1, 2}
+    assert np.allclose(np.modf(points["x"].astype(float) / 0.04)[0] % 1, 0.5, atol=1e-3), "centres of voxels"
+    mine = points[points["instance"] == 1]
+    box = boxes["1"].cubes[0]
+    assert mine["z"].max() <= box.pose.position.z + box.size.z / 2
+
+
+def test_publishing_changes_nothing_and_a_taken_port_is_a_sentence(tmp_path: Path) -> None:
+    from openvox.apps.perceive import perceive
+    from openvox.formats.recording import RecordingWriter
+
+    played = tmp_path / "tiny.mcap"
+    with RecordingWriter(played, source="test", categories={7: "table", 29: "box"}) as writer:
+        for frame in tiny_frames(4):
+            writer.add(frame)
+    perceive(played, frontend="oracle", assignments=["oracle.min_pixels=1"])
+    said: list[str] = []
+    result = live(str(played), rate=100.0, publish=0, notice=said.append)
+    assert any(line.startswith("publishing to ws://127.0.0.1:") for line in said)
+    assert replay(Path(result["outputs"]["recording"]), out=str(tmp_path / "again"))["digests"] == result["digests"]
+    with socket.create_server(("127.0.0.1", 0)) as other, pytest.raises(InputError, match="choose another --publish"):
+        live(str(played), rate=100.0, publish=other.getsockname()[1], out=str(tmp_path / "other"))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.living.gauge import Gauge, Status
-from openvox.apps.living.intake import CAPACITY, Arrival, intake
+from openvox.apps.living.intake import Arrival, intake
 from openvox.apps.living.looking import LiveFrontend
 from openvox.apps.living.opening import Stream, open_recording, open_server
 from openvox.apps.living.questions import Questions
@@ -100,10 +100,11 @@ def live(
     max_memory: int | None = None,
     rerun: Path | None = None,
     connect: str | None = None,
+    publish: int | None = None,
     start: int | None = None,
     end: int | None = None,
     stride: int = 1,
-    waiting: int = CAPACITY,
+    waiting: int | None = None,
     port: int = 0,
     world: str | None = None,
     camera: str | None = None,
@@ -117,11 +118,11 @@ def live(
 
     source: a recording, played `rate` times as fast as it was made or, with follow, as it is written; or ws://HOST:PORT,
     a Foxglove server, of which world, camera and topics choose as of a log. waiting: frames that may wait; of more,
-    the oldest is recorded but not mapped. port: of the loopback, to answer questions on; 0 =
-    any, and `ready` is told the address. connect: URL of a Rerun viewer. stop: set to end the run well, with what has
-    come until then. status: told after every frame. The rest as replay's; so is the result, with `dropped`,
-    `latency_ms`, and in `ms` also `record` and `perceive`. Raises InputError, OutputError: what was written so far
-    stays as NAME.partial."""
+    the oldest is recorded but not mapped. port: of the loopback, to answer questions on; 0 = any, and `ready` is told
+    the address. connect: URL of a Rerun viewer. publish: port of the loopback for a Foxglove server of boxes, captions
+    and changed voxels; 0 = any. stop: set to end the run well, with what has come until then. status: told after every
+    frame. The rest as replay's; so is the result, with `dropped`, `latency_ms`, and in `ms` also `record` and
+    `perceive`. Raises InputError, OutputError: what was written so far stays as NAME.partial."""
     parameters = chosen_parameters(preset_name, params, assignments)
     if not 1e-3 <= rate <= 1e6:
         raise InputError(f"--rate is {rate}; expected 0.001 to 1000000 times the recording's pace")
@@ -155,7 +156,23 @@ def live(
     with ExitStack() as stack:
         ready(stack.enter_context(questions))
         watchers = _watchers(stack, gauge, parameters.map.voxel_size, rerun, connect)
-        made = _record(stream, files, about, shared, [gauge, counter, *limits, *watchers], gauge, watch, stop, waiting)
+        if publish is not None:
+            from openvox.view.foxglove_publisher import FoxglovePublisher
+
+            publisher = stack.enter_context(FoxglovePublisher(publish, voxel_size=parameters.map.voxel_size))
+            notice(f"publishing to {publisher.url}")
+            watchers.append(publisher)
+        made = _record(
+            stream,
+            files,
+            about,
+            shared,
+            [gauge, counter, *limits, *watchers],
+            gauge,
+            watch,
+            stop,
+            waiting or stream.waiting,
+        )
     seconds = time.perf_counter() - begin
     return {
         "frames": counter.frames,

@@ -23,6 +23,8 @@ from openvox.formats.perception import FrameMasks
 T = TypeVar("T")
 CAPACITY = 4
 """Frames that may wait: more would smooth longer hiccups and let every frame come later."""
+CAPACITY_SEEN_NOW = 1
+"""The same where a front end looks, which takes longer than a frame lasts: it had better look at the newest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +84,7 @@ def intake(
     record: Callable[[T], Frame | None],
     look: Callable[[Frame], FrameMasks | None],
     stop: threading.Event,
-    capacity: int = CAPACITY,
+    capacity: int,
 ) -> Generator[Arrival, None, None]:
     """All frames in order, each recorded at once, and looked at unless it was skipped.
 

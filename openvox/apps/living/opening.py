@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from openvox.apps.living.intake import CAPACITY, CAPACITY_SEEN_NOW
 from openvox.apps.living.looking import Eyes, LiveFrontend, cached, front_end
 from openvox.apps.replay import stem_of
 from openvox.core.errors import InputError
@@ -36,9 +37,9 @@ class Stream:
     stem: Path
     """Of the files to write, if nobody chose one."""
     inputs: tuple[Path, ...]
-    total: int
-    """Frames to come; 0 if that is not known."""
     notes: tuple[str, ...] = ()
+    waiting: int = CAPACITY_SEEN_NOW
+    """Frames that may wait, if nobody chose."""
 
 
 def open_recording(
@@ -62,16 +63,17 @@ def open_recording(
     stem = stem_of(path)
     stem = stem.with_name(f"{stem.name}-live")
     inputs = (path, *([masks] if masks else []))
+    waiting = CAPACITY if masks else CAPACITY_SEEN_NOW
     if follow:
         frames = _until(stop, _chosen(following(finished_or_not(path), _patient(stop)), *chosen))
         eyes = cached(masks) if masks else front_end(frontend or "offline")
-        return Stream("live", "mm", {}, frames, eyes, stem, inputs, 0)
+        return Stream("live", "mm", {}, frames, eyes, stem, inputs, waiting=waiting)
     info = recording_info(path)
     start, end, stride = chosen
     recorded = read_frames(path, start=start, end=end, stride=stride, ahead=0)
     frames = paced(_timed(recorded, decoded), rate, stop)
     eyes = cached(masks) if masks else front_end(frontend or "offline")
-    return Stream(info.source, info.depth_unit, info.categories, frames, eyes, stem, inputs, info.frames)
+    return Stream(info.source, info.depth_unit, info.categories, frames, eyes, stem, inputs, waiting=waiting)
 
 
 def open_server(
@@ -84,7 +86,7 @@ def open_server(
 
     eyes = front_end(frontend or "offline")
     source = read(url, options, stop)
-    return Stream(source.kind, source.depth_unit, {}, source.frames, eyes, Path("live"), (), 0, source.notes)
+    return Stream(source.kind, source.depth_unit, {}, source.frames, eyes, Path("live"), (), source.notes)
 
 
 def _chosen(frames: Iterator[Frame], start: int | None, end: int | None, stride: int) -> Iterator[Frame]:

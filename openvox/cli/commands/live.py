@@ -53,8 +53,11 @@ def live(
         int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
     ] = None,
     waiting: Annotated[
-        int, typer.Option(metavar="N", min=1, max=1000, help="Frames that may wait; the oldest of more is not mapped.")
-    ] = 4,
+        int | None,
+        typer.Option(
+            metavar="N", min=1, max=1000, help="Frames that may wait (4; 1 with --frontend); older are skipped."
+        ),
+    ] = None,
     port: Annotated[
         int, typer.Option(metavar="PORT", min=0, max=65535, help="Answer query --live there, on 127.0.0.1; 0 = any.")
     ] = 0,
@@ -70,6 +73,10 @@ def live(
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
     connect: Annotated[
         str | None, typer.Option(metavar="URL", help="Show it in a Rerun viewer, as rerun+http://127.0.0.1:9876/proxy.")
+    ] = None,
+    publish: Annotated[
+        int | None,
+        typer.Option(metavar="PORT", min=0, max=65535, help="Boxes, captions, changed voxels for Foxglove; 0 = any."),
     ] = None,
     start: options.Start = None,
     end: options.End = None,
@@ -98,6 +105,7 @@ def live(
             max_memory=max_memory,
             rerun=rerun,
             connect=connect,
+            publish=publish,
             start=start,
             end=end,
             stride=stride,
