@@ -159,7 +159,8 @@ def test_boxes_captions_and_changed_voxels_are_published(tmp_path: Path) -> None
     from openvox.mapper.mapper import Mapper
     from openvox.view.foxglove_publisher import FoxglovePublisher
 
-    mapper = Mapper(updated(PRESETS["openvox"], {"masks.min_pixels": 0}, source="test"))
+    sets = {"masks.min_pixels": 0, "finish.existence": False}
+    mapper = Mapper(updated(PRESETS["openvox"], sets, source="test"))
     boxes, clouds = dict[str, Any](), list[PointCloud]()
     publisher = FoxglovePublisher(0, voxel_size=0.04)
     with publisher, connect(publisher.url, subprotocols=["foxglove.sdk.v1"], proxy=None) as watcher:
@@ -186,13 +187,16 @@ def test_boxes_captions_and_changed_voxels_are_published(tmp_path: Path) -> None
     clouds = [cloud for cloud in clouds if cloud.data]
     assert len(clouds) == 4
     assert {str(i) for i in result.instance_id} <= boxes.keys()
-    assert boxes["1"].texts[0].text.startswith("1: thing ")
-    points = np.frombuffer(clouds[0].data, [(axis, "<f4") for axis in "xyz"] + [("instance", "<u4"), ("rgba", "<u4")])
-    assert set(points["instance"]) >= {1, 2}
+    first = int(result.instance_id[0])
+    box = boxes[str(first)].cubes[0]
+    assert boxes[str(first)].texts[0].text.startswith(f"{first}: thing ")
+    layout = [(axis, "<f4") for axis in "xyz"] + [("instance", "<u4"), ("rgba", "<u4")]
+    points = np.concatenate([np.frombuffer(cloud.data, layout) for cloud in clouds])
+    assert {*result.instance_id.tolist()} <= {*points["instance"].tolist()}
     assert np.allclose(np.modf(points["x"].astype(float) / 0.04)[0] % 1, 0.5, atol=1e-3), "centres of voxels"
-    mine = points[points["instance"] == 1]
-    box = boxes["1"].cubes[0]
-    assert mine["z"].max() <= box.pose.position.z + box.size.z / 2
+    mine = points[points["instance"] == first]
+    sides = [abs(mine[a] - getattr(box.pose.position, a)) <= getattr(box.size, a) / 2 for a in ("x", "y", "z")]
+    assert np.all(sides, axis=0).any(), "its voxels lie in its box"
 
 
 def test_publishing_changes_nothing_and_a_taken_port_is_a_sentence(tmp_path: Path) -> None:
