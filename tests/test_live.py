@@ -291,6 +291,22 @@ def test_an_address_that_is_none_is_a_sentence(address: str) -> None:
         query_live(address, ["a chair"])
 
 
+def test_a_frozen_map_is_that_of_its_moment_though_mapping_went_on() -> None:
+    frames = tiny_frames(4)
+    mapper, other = Mapper(PRESETS["paper"]), Mapper(PRESETS["paper"])
+    for number, frame in enumerate(frames):
+        mapper.step(frame, truth_masks(frame))
+        if number < 2:
+            other.step(frame, truth_masks(frame))
+        if number == 1:
+            make = mapper.frozen()
+    then, expected = make(), other.finish()
+    assert map_digest(then) == map_digest(expected) != map_digest(mapper.finish())
+    assert then.instances == expected.instances
+    assert then.state.keys() == expected.state.keys()
+    assert all(np.array_equal(then.state[name], expected.state[name]) for name in then.state)
+
+
 def test_a_map_that_is_asked_between_steps_does_not_change_what_comes(tmp_path: Path) -> None:
     frames = tiny_frames(4)
     alone, asked = Mapper(PRESETS["openvox"]), Mapper(PRESETS["openvox"])

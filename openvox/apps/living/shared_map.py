@@ -17,18 +17,17 @@ SNAPSHOT_SECONDS = 10.0
 
 
 class SharedMap:
-    """`step` for the one thread that maps, `finish` for any other: between two steps, and before the next one."""
+    """`step` for the one thread that maps, `finish` for any other; mapping waits only while the map is copied."""
 
     def __init__(self, mapper: Mapper, meta: dict[str, Any]) -> None:
         self._mapper, self._meta = mapper, meta
-        self._lock = threading.Lock()
-        self._turn = threading.Lock()  # held by whoever asks, so that a busy mapper lets him in
+        self._lock, self._turn, self._asking = threading.Lock(), threading.Lock(), threading.Lock()
         self._steps, self._last = 0, -1
         self._finished: tuple[int, InstanceMap] | None = None
 
     def step(self, frame: Frame, masks: Sequence[Mask] | None) -> Step:
         """As the mapper's."""
-        with self._turn:
+        with self._turn:  # held by whoever asks, so that a busy mapper lets him in
             pass
         with self._lock:
             step = self._mapper.step(frame, masks)
@@ -37,11 +36,14 @@ class SharedMap:
 
     def finish(self) -> InstanceMap:
         """The map as it stands; made once for every frame, however many ask. Its meta say after how many frames."""
-        with self._turn, self._lock:
-            if self._finished is None or self._finished[0] != self._steps:
-                meta = {**self._meta, "frames": self._steps, "last": self._last}
-                self._finished = self._steps, replace(self._mapper.finish(), meta=meta)
-            return self._finished[1]
+        with self._asking:
+            with self._turn, self._lock:
+                if self._finished is not None and self._finished[0] == self._steps:
+                    return self._finished[1]
+                steps, last, make = self._steps, self._last, self._mapper.frozen()
+            made = replace(make(), meta={**self._meta, "frames": steps, "last": last})
+            self._finished = steps, made
+            return made
 
 
 class Snapshots:
