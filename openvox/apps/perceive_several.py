@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from openvox.apps.cores import cores
 from openvox.apps.perceive import PerceiveResult, perceive
 from openvox.apps.sweeping.pool import in_processes
 from openvox.core.errors import InputError
@@ -28,7 +28,7 @@ def perceive_several(
     twice = [str(path) for path, place in zip(recordings, given, strict=True) if given.count(place) > 1]
     if twice:
         raise InputError(f"{twice[0]} is given twice; give it once")
-    jobs = len(os.sched_getaffinity(0)) if jobs is None else jobs
+    jobs = cores() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     each = max(1, jobs // len(recordings))
