@@ -311,6 +311,15 @@ def test_a_robots_log_is_examined_as_it_lies(good: list[Frame], tmp_path: Path) 
     assert [one.code for one in doctor(path, depth_scale=5.0).findings] == ["depth_unit"]
 
 
+def test_pictures_are_taken_from_all_of_a_log_of_unknown_length(good: list[Frame]) -> None:
+    for count, least in ((5, 1), (24, 3), (400, 16)):
+        frames = [replace(good[0], index=i, stamp_ns=i + 1) for i in range(count)]
+        sample = take_sample([frames], 100)
+        assert sample is not None
+        assert least <= len(sample.pictures) <= 32
+        assert sample.pictures[-1].index >= 0.7 * count - 6
+
+
 def test_the_same_frames_give_the_same_findings(good: list[Frame]) -> None:
     bad = broken(good[:24], "poses turned 10 deg, z")
     assert found(bad) == found(bad) != ()

@@ -19,6 +19,8 @@ from openvox.sources import Dropped, Options, Source, StampError, open_source
 
 MOST_FRAMES = 400
 """Are looked at, of a source or recording, so that memory and time do not grow with it."""
+UNKNOWN_FRAMES = 100
+"""Taken to be there, to choose pictures, where nobody knows."""
 BLOCKS = 8
 """Stretches that they are taken from, where there are more."""
 DEPTH_FRAMES = 24
@@ -158,7 +160,7 @@ def examined(path: Path, kind: str, blocks: Blocks, total: int, progress: Progre
     from openvox.apps.examining.sample import take_sample
 
     expected = min(total or MOST_FRAMES, MOST_FRAMES)
-    sample = take_sample(_watched(blocks, expected, progress), expected)
+    sample = take_sample(_watched(blocks, expected, progress), expected if total else UNKNOWN_FRAMES)
     if sample is None:
         raise InputError(f"{path} has no frame that can be used; openvox ingest says why")
     findings = examine_frames(sample)

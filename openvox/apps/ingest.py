@@ -21,7 +21,7 @@ from openvox.formats.mcap_io import MAGIC
 from openvox.formats.recording import RecordingWriter
 from openvox.sources import Dropped, open_source
 
-LOOK_EVERY, KEPT = 16, 64
+LOOK_EVERY, KEPT = 13, 64
 """Every so many-th picture is looked at, and so many of them for the unit of depth."""
 
 
