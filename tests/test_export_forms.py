@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from test_cli import run
 from worlds import tiny_frames
 
 from openvox.apps.export import export
+from openvox.apps.exporting.mesh import labelled
 from openvox.apps.exporting.solids import solids
 from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
@@ -31,6 +33,7 @@ from openvox.core.types import InstanceMap
 from openvox.formats.glb import glb
 from openvox.formats.map_npz import write_map
 from openvox.formats.perception import read_masks
+from openvox.formats.ply import ply
 from openvox.formats.recording import RecordingWriter, read_frames
 from openvox.view.render import render_map
 from openvox.view.viewpoint import world_from_color
@@ -214,7 +217,7 @@ def mapped(tmp_path: Path) -> Path:
         for frame in tiny_frames(3):
             writer.add(frame)
     perceive(tmp_path / "tiny.mcap", frontend="oracle", assignments=["oracle.min_pixels=1"])
-    replay(tmp_path / "tiny.mcap", assignments=["masks.min_pixels=0"])
+    replay(tmp_path / "tiny.mcap", preset_name="paper", assignments=["masks.min_pixels=0"])
     return tmp_path / "tiny.map.npz"
 
 
@@ -267,6 +270,51 @@ def test_a_map_whose_recording_is_gone_or_another_says_so(mapped: Path, tmp_path
     with pytest.raises(InputError, match="is not the recording of"):
         export(tmp_path / "other.map.npz", tmp_path / "b.jsonl", "masks", recording=tmp_path / "moved.mcap")
     assert not (tmp_path / "b.jsonl").exists()
+
+
+# ---- a surface -------------------------------------------------------------------------------------------------------
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    mesh = trimesh.load_mesh(path, process=False)
+    assert isinstance(mesh, trimesh.Trimesh)
+    return mesh
+
+
+def test_vertices_take_what_the_voxel_says_in_which_they_lie_or_the_nearest(tmp_path: Path) -> None:
+    result = labelled_map(np.array([[0, 0, 0], [5, 0, 0]]), np.array([7, 0]), voxel_size=0.1, voxel_confidence=0.75)
+    places = np.array([[0.05, 0.05, 0.05], [0.05, 0.05, 0.14], [0.55, 0.05, 0.05], [0.3, 0.3, 0.3]])
+    (tmp_path / "a.ply").write_bytes(ply(labelled(places, result), np.array([[0, 1, 2], [2, 1, 3]], np.int32), "test"))
+    mesh = read_mesh(tmp_path / "a.ply")
+    np.testing.assert_allclose(mesh.vertices, places, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, [[0, 1, 2], [2, 1, 3]])
+    raw = mesh.metadata["_ply_raw"]["vertex"]["data"]
+    assert raw["instance"].tolist() == [7, 7, 0, 0]
+    assert raw["confidence"].tolist() == [0.75, 0.75, 0.75, 0]
+    colors = [(*instance_color(number), 255) for number in (7, 7, 0, 0)]
+    np.testing.assert_array_equal(mesh.visual.vertex_colors, colors)
+
+
+def test_a_surface_lies_where_the_depth_is(mapped: Path, tmp_path: Path) -> None:
+    pytest.importorskip("open3d", reason='the extra "mesh" is not installed')
+    done = export(mapped, tmp_path / "a.ply", "mesh", assignments=["mesh.min_frames=1", "mesh.truncation=0.3"])
+    mesh = read_mesh(tmp_path / "a.ply")
+    assert (len(mesh.vertices), len(mesh.faces)) == (done["vertices"], done["triangles"])
+    frame = next(read_frames(tmp_path / "tiny.mcap"))
+    assert len(mesh.faces) > 0
+    eye = frame.world_from_depth.matrix()
+    depth = (mesh.vertices - eye[:3, 3]) @ eye[:3, 2]
+    measured = frame.depth[frame.depth > 0] / 1000
+    assert measured.min() - 0.3 < np.median(depth) < measured.max() + 0.3
+
+
+def test_a_surface_without_its_extra_is_one_sentence(
+    mapped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(InputError, match=r'pip install "openvox\[mesh\]"'):
+        export(mapped, tmp_path / "a.ply", "mesh")
+    assert not list(tmp_path.glob("a.ply*"))
 
 
 # ---- what is asked for -----------------------------------------------------------------------------------------------

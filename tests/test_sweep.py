@@ -50,7 +50,7 @@ def recorded(path: Path, frames: int) -> Path:
 def test_all_combinations_the_last_parameter_fastest_and_the_default() -> None:
     varied, sets = parameter_sets(RUN, ["association.threshold=0.2,0.3", "masks.erosion=1,2"])
     assert varied == {"association.threshold": [0.2, 0.3], "masks.erosion": [1, 2]}
-    assert [tuple(one.values.values()) for one in sets] == [(0.2, 1), (0.2, 2), (0.3, 1), (0.3, 2), (0.4, 1)]
+    assert [tuple(one.values.values()) for one in sets] == [(0.2, 1), (0.2, 2), (0.3, 1), (0.3, 2), (0.4, 0)]
     assert [one.grid for one in sets] == [True] * 4 + [False]
     assert [one.default for one in sets] == [False] * 4 + [True]
 
@@ -64,7 +64,7 @@ def test_a_single_value_holds_for_every_set() -> None:
     varied, sets = parameter_sets(RUN, ["map.voxel_size=0.08", "masks.erosion=0,1"])
     assert varied == {"masks.erosion": [0, 1]}
     assert [one.parameters["map.voxel_size"] for one in sets] == [0.08, 0.08]
-    assert sets[1].default
+    assert sets[0].default
 
 
 @pytest.mark.parametrize(

@@ -18,14 +18,16 @@ from openvox.core.parameters import from_assignments, updated
 from openvox.core.types import InstanceMap
 from openvox.formats.atomic import partial_file
 from openvox.formats.map_npz import SUFFIX, read_map
+from openvox.formats.ply import ply
 
-What = Literal["map", "occupancy", "masks"]
+What = Literal["map", "occupancy", "masks", "mesh"]
 ENDINGS: dict[What, tuple[str, ...]] = {
     "map": (".ply", ".glb", ".csv", ".jsonl"),
     "occupancy": (".yaml",),
     "masks": (".jsonl",),
+    "mesh": (".ply",),
 }
-GROUPS: dict[What, str] = {"occupancy": "occupancy", "masks": "rendered"}
+GROUPS: dict[What, str] = {"occupancy": "occupancy", "masks": "rendered", "mesh": "mesh"}
 """Of parameters that each uses."""
 Progress = Callable[[int, int], None] | None
 
@@ -43,7 +45,8 @@ def export(
 
     map: ply, a coloured point for each voxel of an instance; glb, a solid for each instance; csv, jsonl: a row, or an
     object, for each instance. occupancy: a grid in the form of map_server, .yaml with a .pgm beside it. masks: of the
-    map in each frame of its recording, as perceive reads them. recording: where the map does not find its own.
+    map in each frame of its recording, as perceive reads them.
+    mesh: a surface from the recording, .ply. recording: where the map does not find its own.
     assignments: `group.name=value` texts."""
     form = out.suffix.lower()
     if form not in ENDINGS[what]:
@@ -51,7 +54,7 @@ def export(
         expected = f"{', '.join(most)} or {last}" if most else last
         raise InputError(f"{out} ends in {out.suffix or 'nothing'}; expected {expected}, which says the form")
     parameters = _parameters(what, assignments)
-    if recording is not None and what != "masks":
+    if recording is not None and what not in ("masks", "mesh"):
         raise InputError(f"--recording {recording} has no effect here, because no pictures are needed; leave it out")
     result = read_map(map_file)
     replaced = out.exists()
@@ -67,6 +70,8 @@ def export(
     if what == "masks":
         source = _recording(map_file, result, recording)
         return {**about, **_write_masks(result, out, source, parameters, progress)}
+    if what == "mesh":
+        return {**about, **_write_mesh(result, out, _recording(map_file, result, recording), parameters, progress)}
     with partial_file(out) as partial:
         if form == ".ply":
             partial.write_bytes(points(result))
@@ -140,6 +145,17 @@ def _write_masks(
     with partial_file(out) as partial:
         _write_lines(partial, counted())
     return {"recording": str(recording), "frames": len(counts), "masks": sum(counts)}
+
+
+def _write_mesh(
+    result: InstanceMap, out: Path, recording: Path, parameters: ExportParameters, progress: Progress
+) -> dict[str, Any]:
+    from openvox.apps.exporting.mesh import labelled, surface
+
+    vertices, triangles = surface(recording, parameters.mesh, progress)
+    with partial_file(out) as partial:
+        partial.write_bytes(ply(labelled(vertices, result), triangles, "openvox map, surface of the recording"))
+    return {"recording": str(recording), "vertices": len(vertices), "triangles": len(triangles)}
 
 
 def _write_lines(path: Path, objects: Iterable[Any]) -> None:

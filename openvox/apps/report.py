@@ -37,15 +37,21 @@ class Report:
     """What the page leaves out, and why."""
 
 
-def report(first: Path, second: Path | None, out: Path, *, recording: Path | None = None) -> Report:
+def report(
+    first: Path, second: Path | None, out: Path, *, recording: Path | None = None, classes: Path | None = None
+) -> Report:
     """Write one HTML file with all that it shows in it.
 
     first: a map, or the folder of a sweep. second: the map's trace (without it, STEM.trace.mcap beside the map, if it
     is the map's), or another map to compare it with. recording: where crops come from; without it, the one that the
-    map names, if it is the same. The same files give the same bytes. Raises InputError, OutputError.
+    map names, if it is the same.
+    classes: names for its categories, which otherwise come from captions. The
+    same files give the same bytes. Raises InputError, OutputError.
     """
     if out.suffix.lower() not in SUFFIXES:
         raise OutputError(f"{out} would be overwritten with a web page; let the last argument end with .html")
+    if classes is not None and (first.is_dir() or (second is not None and kind_of(second) == "map")):
+        raise InputError(f"--classes {classes} has no effect here, because only the page of one map has categories")
     if first.is_dir():
         return _written(out, "sweep", _sweep(first, second, recording))
     kind = kind_of(first)
@@ -54,7 +60,7 @@ def report(first: Path, second: Path | None, out: Path, *, recording: Path | Non
     if second is not None and kind_of(second) == "map":
         return _written(out, "maps", _two_maps(first, second, recording))
     result = read_map(first)
-    text, trace, source, remarks = _one_map(first, result, second, recording)
+    text, trace, source, remarks = _one_map(first, result, second, recording, classes)
     found = _written(out, "map", text)
     return replace(found, instances=len(result.instances), trace=trace, recording=source, notes=tuple(remarks))
 
@@ -86,9 +92,10 @@ def _two_maps(a: Path, b: Path, recording: Path | None) -> str:
 
 
 def _one_map(
-    path: Path, result: InstanceMap, trace: Path | None, recording: Path | None
+    path: Path, result: InstanceMap, trace: Path | None, recording: Path | None, classes: Path | None
 ) -> tuple[str, Path | None, Path | None, list[str]]:
     """The page, the trace and the recording that it shows, and what is missing."""
+    from openvox.apps.categories import categories_of
     from openvox.apps.reporting.crops import crops
     from openvox.apps.reporting.one_map import map_page
     from openvox.apps.reporting.run import read_run
@@ -110,7 +117,8 @@ def _one_map(
         pieces = crops(result, source)
     run = read_run(trace) if trace else None
     title = path.name.removesuffix(SUFFIX)
-    return map_page(title, result, map_digest(result), run, pieces, remarks), trace, source, remarks
+    categories = categories_of(result, classes)
+    return map_page(title, result, map_digest(result), run, pieces, remarks, categories), trace, source, remarks
 
 
 def _check_trace(path: Path, result: InstanceMap, trace: Path) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,9 @@ from openvox.apps.compare import first_outcome
 from openvox.apps.cores import cores
 from openvox.apps.replay import warm_up
 from openvox.apps.report import report
+from openvox.apps.sweeping.cluster import cluster
 from openvox.apps.sweeping.item import MAPPED, run_item
-from openvox.apps.sweeping.plan import Item, ParameterSet, Run, Source, items, parameter_sets, sources
+from openvox.apps.sweeping.plan import Item, ParameterSet, Run, Source, elsewhere, items, parameter_sets, sources
 from openvox.apps.sweeping.pool import Outcome, in_processes
 from openvox.apps.sweeping.summary import MEASURES, best, described_sets, effects, table
 from openvox.core.digest import digest_of
@@ -40,6 +43,7 @@ def sweep(
     params: Path | None = None,
     engine: str = "cpu",
     jobs: int | None = None,
+    dask: str | None = None,
     start: int | None = None,
     end: int | None = None,
     stride: int = 1,
@@ -49,10 +53,15 @@ def sweep(
     """What docs/comparing.md says of sweep.json, which is written to `out` with a table and each item's map and trace.
 
     assignments: `group.name=value,value` texts. perceptions: one a recording, or none. truths: one a recording, or one
-    for all. jobs: processes, the cores by default. Raises InputError, OutputError; an item that fails is reported."""
+    for all. jobs: processes, the cores by default. dask: address of a scheduler, whose workers do the items instead.
+    Raises InputError, OutputError; an item that fails is reported."""
     began = time.perf_counter()
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
+    if jobs is not None and dask is not None:
+        raise InputError(
+            f"--jobs {jobs} and --dask {dask} are both given; a cluster has as many as it has: leave one out"
+        )
     run = Run(preset_name, params, engine, start, end, stride)
     varied, sets = parameter_sets(run, assignments)
     found = sources(recordings, perceptions, truths)
@@ -60,12 +69,12 @@ def sweep(
     fixed = [text for text in assignments if text.partition("=")[0].strip() not in varied]
     _prepare(out, {"recordings": [one.digests["recording"] for one in found], **_about(run), "fixed": sorted(fixed)})
     warm_up(preset(preset_name), engine, notice)  # compiled once, so that the processes find it done
-    workers = min(len(todo), jobs or cores())
     outcomes: dict[int, Outcome[dict[str, Any]]] = {}
-    for outcome in in_processes(run_item, todo, workers):
-        outcomes[outcome.place] = outcome
-        if progress is not None:
-            progress(len(outcomes), len(todo))
+    with _workers(len(todo), jobs, dask) as (each, workers):
+        for outcome in each(run_item, todo if dask is None else [elsewhere(item) for item in todo]):
+            outcomes[outcome.place] = outcome
+            if progress is not None:
+                progress(len(outcomes), len(todo))
     rows = _with_first([_row(item, outcomes[item.number], out) for item in todo], out)
     described = described_sets(sets, rows)
     result = {
@@ -84,12 +93,24 @@ def sweep(
         "reused": sum(bool(row["reused"]) for row in rows),
         "seconds": time.perf_counter() - began,
         "jobs": workers,
+        "dask": dask,
     }
     _write(out / TABLE, table(rows, list(varied)))
     _write(out / RESULT, json.dumps(result, indent=1, allow_nan=False) + "\n")
     report(out, None, out / PAGE)
     outputs = {"folder": out, "result": out / RESULT, "table": out / TABLE, "page": out / PAGE}
     return {**result, "outputs": {name: str(path) for name, path in outputs.items()}}
+
+
+@contextmanager
+def _workers(items: int, jobs: int | None, dask: str | None) -> Iterator[tuple[Callable[..., Any], int]]:
+    """What does items, here or on a cluster, and how many at a time. Raises InputError."""
+    if dask is None:
+        here = min(items, jobs or cores())
+        yield partial(in_processes, jobs=here), here
+        return
+    with cluster(dask) as found:
+        yield found.each, min(items, found.threads)
 
 
 def _about(run: Run) -> dict[str, Any]:

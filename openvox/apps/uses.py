@@ -108,11 +108,39 @@ _LONGEST = max(len(noun.split()) for noun in USE_OF)
 _AFTER = re.compile(r"\s+(?:with|on|of|in|at|under|beside|near|for|that|which)\s")
 
 
+_AMOUNT = re.compile(
+    r"^(?:there (?:is|are) )?(?:an? |the )?(?:close ?up|pair|row|set|pile|stack|bunch|group|piece|couple) of "
+)
+"""What captions say before the thing that they speak of."""
+
+_HOW = {"full", "filled", "next", "made", "covered", "standing", "hanging", "sitting", "lying", "leaning", "mounted"}
+"""Words that may stand between the thing and what follows it."""
+
+
 def use_of(caption: str) -> str:
     """What the thing of a caption is for, "" if that is not known: "a white coffee cup on a table" is a cup."""
-    words = _AFTER.split(caption.lower().strip(" ."), maxsplit=1)[0].replace(",", " ").split()
+    words = _words(caption)
+    return USE_OF.get(_known(words), "")
+
+
+def noun_of(caption: str) -> str:
+    """The thing of a caption, in one word where its name is not known: "a tall white bookcase full of books" is a
+    bookcase, "a pair of running shoes" shoes; "" without words."""
+    words = _words(_AMOUNT.sub("", caption.lower().strip(" .")))
+    end = next((i for i, word in enumerate(words) if i and word in _HOW), len(words))
+    words = words[:end]
+    return _known(words) or (words[-1] if words else "")
+
+
+def _words(caption: str) -> list[str]:
+    """Up to what follows the thing."""
+    return _AFTER.split(caption.lower().strip(" ."), maxsplit=1)[0].replace(",", " ").split()
+
+
+def _known(words: list[str]) -> str:
+    """The longest end of the words that is a thing whose use is known, or nothing."""
     for length in range(min(_LONGEST, len(words)), 0, -1):
-        use = USE_OF.get(" ".join(words[-length:]))
-        if use:
-            return use
+        name = " ".join(words[-length:])
+        if name in USE_OF:
+            return name
     return ""

@@ -33,6 +33,7 @@ def view(
     files: Sequence[Path],
     *,
     recording: Path | None = None,
+    classes: Path | None = None,
     save: Path | None = None,
     web: bool = False,
     bind: str = "127.0.0.1",
@@ -42,23 +43,28 @@ def view(
 ) -> dict[str, Any]:
     """Show files until the window is closed or Ctrl-C; `save`: write the one file as .rrd instead.
 
-    recording: of the traces, where it is not where they name it. ready: told the URL of `web`. Returns `files` with
+    recording: of the traces, where it is not where they name it.
+    classes: names for the categories of maps. ready: told the URL of `web`. Returns `files` with
     their kinds, and `output`. Raises InputError, OutputError."""
     from openvox.view.viewer import has_screen, open_window, serve_web
 
     kinds = [kind(path) for path in files]
+    if classes is not None and "map" not in kinds:
+        raise InputError(f"--classes {classes} has no effect here, because only maps show categories; leave it out")
     about = {"files": [{"path": str(path), "kind": one} for path, one in zip(files, kinds, strict=True)]}
     if save is not None:
         if len(files) != 1:
             raise InputError(f"--save writes one file, {len(files)} were given; save them one by one")
         replaced = save.exists()
-        as_rrd(files[0], save, recording, notice)
+        as_rrd(files[0], save, recording, notice, classes)
         return {**about, "output": str(save), "replaced": replaced}
     if not web and not has_screen():
         open_window([])  # says so, before anything is drawn
     with tempfile.TemporaryDirectory(prefix="openvox-view-") as folder:
         shown = [
-            path if one == "rrd" else as_rrd(path, Path(folder) / f"{number} {path.name}.rrd", recording, notice)
+            path
+            if one == "rrd"
+            else as_rrd(path, Path(folder) / f"{number} {path.name}.rrd", recording, notice, classes)
             for number, (path, one) in enumerate(zip(files, kinds, strict=True), start=1)
         ]
         if web:
@@ -84,18 +90,27 @@ def kind(path: Path) -> str:
         ) from None
 
 
-def as_rrd(path: Path, out: Path, recording: Path | None = None, notice: Notice = lambda text: None) -> Path:
+def as_rrd(
+    path: Path,
+    out: Path,
+    recording: Path | None = None,
+    notice: Notice = lambda text: None,
+    classes: Path | None = None,
+) -> Path:
     """Write what a file holds as an .rrd; returns it. recording: where a trace or perception does not find its own.
 
+    classes: a file of names for the categories of a map, which otherwise come from its captions.
     notice: told what is missing from the picture. Raises InputError, OutputError."""
     check_not_input(out, path, recording)
     found = kind(path)
     if found == "trace":
         _draw_trace(path, out, recording, notice)
     elif found == "map":
+        from openvox.apps.categories import categories_of
         from openvox.view.map_scene import draw_map_file
 
-        draw_map_file(out, read_map(path))
+        result = read_map(path)
+        draw_map_file(out, result, categories_of(result, classes))
     elif found == "rrd":
         raise InputError(f"{path} is an .rrd already; copy it")
     else:

@@ -25,6 +25,18 @@ AskingModels = Annotated[
     Path | None,
     typer.Option("--models", metavar="FILE.toml", help="The models of perceive, if the encoder was one of your own."),
 ]
+Dask = Annotated[
+    str | None,
+    typer.Option("--dask", metavar="ADDRESS", help="On the Dask cluster of this scheduler; wants the extra cluster."),
+]
+Categories = Annotated[
+    Path | None,
+    typer.Option(
+        "--classes",
+        metavar="FILE",
+        help="Names, one a line, for colours by category; without it a category is the noun of a caption.",
+    ),
+]
 Recording = Annotated[Path, typer.Argument(metavar="REC.mcap", help="A recording made by ingest.")]
 MapFile = Annotated[Path, typer.Argument(metavar="MAP", help="A map made by replay, STEM.map.npz.")]
 

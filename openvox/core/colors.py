@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 
 GREY = (150, 150, 150)
 """Background, and whatever belongs to no instance."""
@@ -18,3 +19,9 @@ def instance_color(instance: int) -> tuple[int, int, int]:
     hue = instance * _GOLDEN % 1.0
     red, green, blue = colorsys.hsv_to_rgb(hue, _SATURATION[instance % 3], _VALUE[instance // 3 % 2])
     return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def category_colors(categories: Sequence[str]) -> list[tuple[int, int, int]]:
+    """A colour for each, the same for the same name; names take colours in alphabetical order."""
+    place = {name: number for number, name in enumerate(sorted(set(categories)), 1)}
+    return [instance_color(place[name]) for name in categories]

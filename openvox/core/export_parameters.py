@@ -39,8 +39,23 @@ class RenderedParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MeshParameters:
+    """A surface out of all depth pictures."""
+
+    voxel_length: float = parameter(
+        0.02, "m", 0.002, 1.0, why="edge of the grid in which depth is averaged; half a voxel of the map"
+    )
+    truncation: float = parameter(
+        0.08, "m", 0.004, 4.0, why="so far behind a surface depth says nothing; beyond the noise of sensors"
+    )
+    max_depth: float = parameter(6.0, "m", 0.1, 65.0, why="depth beyond it is ignored, as map.max_depth of replay")
+    min_frames: int = parameter(3, "frames", 1, 10_000, why="what fewer frames saw is mostly noise at depth steps")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ExportParameters:
     """All of them."""
 
     occupancy: OccupancyParameters = field(default_factory=OccupancyParameters)
     rendered: RenderedParameters = field(default_factory=RenderedParameters)
+    mesh: MeshParameters = field(default_factory=MeshParameters)

@@ -1,4 +1,4 @@
-"""Binary PLY meshes, as ScanNet and Replica have them: little-endian, faces all of one size."""
+"""Binary PLY: points and meshes, little-endian; read as ScanNet and Replica have them, faces all of one size."""
 
 from __future__ import annotations
 
@@ -99,3 +99,20 @@ def _rows(path: Path, element: _Element, data: bytes, at: int) -> tuple[NDArray[
                 f"{path}: lists of {element.name} have unequal lengths; expected triangles only, or quads only"
             )
     return rows, size
+
+
+_NAMES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
+
+
+def ply(vertices: NDArray[np.void], triangles: NDArray[np.int32] | None, comment: str) -> bytes:
+    """The bytes of a file. vertices: (n,) structured, of float32, uint8 and int32. triangles: (m, 3) rows of them."""
+    fields = [f"property {_NAMES[vertices.dtype[name].str]} {name}" for name in vertices.dtype.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(vertices)}"]
+    header += fields
+    faces = b""
+    if triangles is not None:
+        header += [f"element face {len(triangles)}", "property list uchar int vertex_indices"]
+        rows = np.zeros(len(triangles), [("count", "u1"), ("corners", "<i4", 3)])
+        rows["count"], rows["corners"] = 3, triangles
+        faces = rows.tobytes()
+    return "".join(f"{line}\n" for line in [*header, "end_header"]).encode("ascii") + vertices.tobytes() + faces

@@ -14,6 +14,8 @@ TRAJECTORY = "world/trajectory"
 INSTANCES = "world/instances"
 CAPTIONS = "world/captions"
 CONFIDENCE = "world/confidence"
+CATEGORIES = "world/categories"
+ANSWERS = "world/answers"
 ENTROPY = "world/entropy"
 TOUCHED = "world/touched"
 REGIONS = "world/masks"
@@ -68,3 +70,13 @@ def region_path(mask: int) -> str:
 
 CAMERA_FRAME = f"tf#/{CAMERA}"
 """Rerun's name for the coordinate frame of the camera entity: pictures put into it appear on the frustum in 3D."""
+
+
+def category_path(instance: int) -> str:
+    """Voxels of one instance in the colour of its category."""
+    return f"{CATEGORIES}/{instance:04d}"
+
+
+def answer_path(number: int, what: str) -> str:
+    """Voxels of an answer to a question, or of the rest. number: of the question, from 0."""
+    return f"{ANSWERS}/{number:02d}/{what}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from openvox.view.viewpoint import ELEVATION, best_azimuth, centres, from_above,
 
 Picture = NDArray[np.uint8]
 """(height, width, 3), RGB."""
+ColorOf = Callable[[int], tuple[int, int, int]]
 PAPER = (250, 250, 248)
 STRUCTURE = (222, 221, 217)
 """Voxels of no instance: walls and floor, and what was not detected."""
@@ -42,28 +43,40 @@ def draw_map(result: InstanceMap, out: Path, *, width: int = 1280, height: int =
 
     Raises OutputError where the file cannot be written.
     """
-    _write_png(out, map_picture(result, map_azimuth(result), width=width, height=height))
+    write_png(out, map_picture(result, map_azimuth(result), width=width, height=height))
 
 
-def map_azimuth(result: InstanceMap) -> float:
-    """The side, in radians from the x axis, from which a picture of the map shows most."""
-    return best_azimuth(result, _cutaway)
+def map_azimuth(result: InstanceMap, wanted: Sequence[int] = ()) -> float:
+    """The side, in radians from the x axis, from which a picture of the map shows most, of these instances if any."""
+    return best_azimuth(result, _cutaway, wanted)
 
 
 def map_picture(
-    result: InstanceMap, azimuth: float, *, width: int, height: int, elevation: float = ELEVATION
+    result: InstanceMap,
+    azimuth: float,
+    *,
+    width: int,
+    height: int,
+    elevation: float = ELEVATION,
+    color_of: ColorOf = instance_color,
+    names: Mapping[int, str] | None = None,
 ) -> Picture:
     """The map from above, ceiling and near walls cut away, the largest instances named.
 
-    azimuth, elevation: where the camera stands, radians from the x axis and from the level.
+    azimuth, elevation: where the camera stands, radians from the x axis and from the level. color_of: an instance.
+    names: of the instances that are named instead, however small they look.
     """
     camera = narrow_camera(2 * width, 2 * height)
     kept = _cutaway(result, azimuth)
     index, instances = result.voxel_index[kept], result.voxel_instance[kept]
     pose = from_above(centres(index, result.voxel_size), camera, azimuth, elevation)
-    picture, labels = _view(index, instances, result.voxel_size, pose, camera, PAPER)
+    picture, labels = _view(index, instances, result.voxel_size, pose, camera, PAPER, color_of)
     picture = np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    annotate(picture, _notes(labels[::2, ::2], _captions(result)), scale=0.5)
+    labels = labels[::2, ::2]
+    if names is None:
+        annotate(picture, _notes(labels, _captions(result)), scale=0.5)
+    else:
+        annotate(picture, _notes(np.where(np.isin(labels, list(names)), labels, 0), names, least=0), scale=0.5)
     return picture
 
 
@@ -83,7 +96,7 @@ def draw_frame(
     picture = decode_color(frame).copy() if frame.color else np.full_like(rendered, 90)
     _paint_masks(picture, masks, instance_of)
     titles = (f"Frame {frame.index}: detected masks", "The map from the same pose")
-    _write_png(out, _side_by_side((picture, rendered), titles))
+    write_png(out, _side_by_side((picture, rendered), titles))
 
 
 def _view(
@@ -93,12 +106,13 @@ def _view(
     pose: NDArray[np.float64],
     camera: Intrinsics,
     empty: tuple[int, int, int],
+    color_of: ColorOf = instance_color,
 ) -> tuple[Picture, NDArray[np.int32]]:
     """The voxels as lit cubes in the colours of their instances, and the instance of each pixel (-1 = none)."""
     rows = render_rows(index, voxel_size, pose, camera)
     labels = take_rows(instances, rows, np.int32(NOTHING))
     ids, place = np.unique(instances, return_inverse=True)
-    palette = np.array([instance_color(i) if i > 0 else STRUCTURE for i in ids.tolist()], np.uint8).reshape(-1, 3)
+    palette = np.array([color_of(i) if i > 0 else STRUCTURE for i in ids.tolist()], np.uint8).reshape(-1, 3)
     colors = np.concatenate([palette[place], np.array([empty], np.uint8)])[rows]  # row -1 is the last one
     return (lit(colors, rows, index, labels, voxel_size, pose, camera) if len(index) else colors), labels
 
@@ -132,10 +146,10 @@ def _captions(result: InstanceMap) -> dict[int, str]:
     return {summary.id: summary.caption for summary in result.instances}
 
 
-def _notes(labels: NDArray[np.int32], captions: dict[int, str]) -> list[Note]:
+def _notes(labels: NDArray[np.int32], captions: Mapping[int, str], least: float = LEAST_AREA) -> list[Note]:
     """A name at the middle of each instance that fills enough of the picture, the largest first."""
     ids, pixels = np.unique(labels[labels > 0], return_counts=True)
-    large = pixels >= LEAST_AREA * labels.size
+    large = pixels >= least * labels.size
     order = ids[large][np.argsort(-pixels[large], kind="stable")].tolist()
     return [Note(f"{i} {shortened(captions.get(i, ''), 30)}".strip(), _middle(labels == i)) for i in order[:NOTES]]
 
@@ -176,7 +190,8 @@ def _side_by_side(pictures: Sequence[Picture], titles: Sequence[str]) -> Picture
     return sheet
 
 
-def _write_png(out: Path, picture: Picture) -> None:
+def write_png(out: Path, picture: Picture) -> None:
+    """A whole file or none. Raises OutputError."""
     data = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()
     with partial_file(out) as partial:
         partial.write_bytes(data)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,10 @@ def centres(index: NDArray[np.int32], voxel_size: float) -> Points:
     return np.asarray((index + 0.5) * voxel_size, np.float64) if len(index) else np.zeros((1, 3))
 
 
-def best_azimuth(result: InstanceMap, shown: Shown) -> float:
+def best_azimuth(result: InstanceMap, shown: Shown, wanted: Sequence[int] = ()) -> float:
     """The side from which most is seen, of many instances rather than of one; the first among equals.
 
-    shown: what of the map is drawn from an azimuth.
+    shown: what of the map is drawn from an azimuth. wanted: ids of the instances that count, without them all.
     """
     camera = narrow_camera(160, 100)
     seen = []
@@ -51,7 +51,8 @@ def best_azimuth(result: InstanceMap, shown: Shown) -> float:
         index = result.voxel_index[kept]
         pose = from_above(centres(index, result.voxel_size), camera, azimuth)
         labels = render_map(index, result.voxel_instance[kept], result.voxel_size, pose, camera)
-        pixels = np.unique(labels[labels > 0], return_counts=True)[1]
+        counted = np.isin(labels, list(wanted)) if wanted else labels > 0
+        pixels = np.unique(labels[counted], return_counts=True)[1]
         seen.append((float(np.sqrt(pixels).sum()), -turn, azimuth))
     return max(seen)[2]
 

@@ -7,6 +7,7 @@ import numpy as np
 from openvox.apps.described import voxel_centers
 from openvox.core.colors import instance_color
 from openvox.core.types import InstanceMap
+from openvox.formats.ply import ply
 
 VERTEX = np.dtype(
     [
@@ -16,7 +17,6 @@ VERTEX = np.dtype(
         ("confidence", "<f4"),
     ]
 )
-_PLY_NAMES = {"f4": "float", "u1": "uchar", "i4": "int"}
 
 
 def points(result: InstanceMap) -> bytes:
@@ -30,12 +30,4 @@ def points(result: InstanceMap) -> bytes:
     for name, values in zip(("red", "green", "blue"), colors.T, strict=True):
         vertices[name] = values
     vertices["instance"], vertices["confidence"] = result.voxel_instance[mine], result.voxel_confidence[mine]
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment openvox map, voxels of {result.voxel_size:g} m",
-        f"element vertex {len(vertices)}",
-        *(f"property {_PLY_NAMES[VERTEX[name].str[1:]]} {name}" for name in VERTEX.names or ()),
-        "end_header",
-    ]
-    return "".join(f"{line}\n" for line in header).encode("ascii") + vertices.tobytes()
+    return ply(vertices, None, f"openvox map, voxels of {result.voxel_size:g} m")

@@ -11,7 +11,7 @@ import numpy as np
 from openvox.apps.reporting.crops import Crop
 from openvox.apps.reporting.parts import Column, head, notes, number, provenance, scenes, searched, swatch
 from openvox.apps.reporting.run import Run, run_section
-from openvox.core.colors import instance_color
+from openvox.core.colors import category_colors, instance_color
 from openvox.core.types import InstanceMap, InstanceSummary
 from openvox.formats.images import encode_jpeg
 from openvox.view.labels import shortened
@@ -25,6 +25,9 @@ SIDES = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
 """Radians from the best side."""
 STRAIGHT_DOWN = math.pi / 2
 OTHER_CAPTIONS = 3
+MODES = (("instance", "by instance"), ("category", "by category"), ("confidence", "by confidence"))
+LEGEND = 40
+"""Categories that the legend names, those of most instances."""
 COLUMNS = (
     Column("Id", number=True),
     Column("Best views", sorts=False),
@@ -44,21 +47,23 @@ def map_page(
     run: Run | None,
     crops: Mapping[int, Sequence[Crop]],
     remarks: Sequence[str],
+    categories: Sequence[str],
 ) -> str:
-    """HTML. title: the map's name. run: of its trace. crops: by instance. remarks: what is missing, and why."""
+    """HTML. title: the map's name. run: of its trace. crops: by instance. remarks: what is missing, and why.
+    categories: one an instance."""
     azimuth = map_azimuth(result)
     lead = "Instances that OpenVox found in a recording, and how sure it is of them."
     columns = COLUMNS if crops else tuple(c for c in COLUMNS if c.title != "Best views")
     rows = [
-        _row(summary, float(confidence), crops.get(summary.id, ()), bool(crops))
-        for summary, confidence in zip(result.instances, result.instance_confidence, strict=True)
+        _row(summary, float(confidence), crops.get(summary.id, ()), bool(crops), category)
+        for summary, confidence, category in zip(result.instances, result.instance_confidence, categories, strict=True)
     ]
     hint = "Drag to turn; pinch, or + and \u2212, to zoom; two fingers, or shift, to move. Tap a thing to find its row."
     main = [
         notes(remarks),
         tag(
             "div",
-            scenes([""], [("instance", "by instance"), ("confidence", "by confidence")], hint),
+            scenes([""], MODES, hint, _legend(categories)),
             searched("instances", "Instances", columns, rows, "instances"),
             class_="split",
         ),
@@ -67,7 +72,10 @@ def map_page(
         provenance(result, digest),
     ]
     content = [head(title, lead, _facts(result)), tag("main", main), foot(digest)]
-    return page(f"{title} \u2013 openvox", content, {"azimuth": azimuth, "maps": [scene_of(result)]})
+    shown = scene_of(result)
+    by_category = [list(color) for color in category_colors(categories)]
+    shown["palettes"].append({"name": "category", "colors": by_category})
+    return page(f"{title} \u2013 openvox", content, {"azimuth": azimuth, "maps": [shown]})
 
 
 def foot(digest: str) -> Html:
@@ -90,6 +98,15 @@ def scene_of(result: InstanceMap) -> dict[str, Any]:
     }
 
 
+def _legend(categories: Sequence[str]) -> Html:
+    """The colours of the categories of most instances, by name."""
+    color = dict(zip(categories, category_colors(categories), strict=True))
+    often = sorted(color, key=lambda name: (-categories.count(name), name))[:LEGEND]
+    names = [tag("span", swatch(color[name]), " ", shortened(name, 40)) for name in sorted(often)]
+    more = f"and {len(color) - len(often)} more" if len(color) > len(often) else None
+    return tag("div", names, more, class_="legend category")
+
+
 def _facts(result: InstanceMap) -> list[tuple[str, Any]]:
     confirmed = sum(summary.state == "confirmed" for summary in result.instances)
     return [
@@ -102,12 +119,13 @@ def _facts(result: InstanceMap) -> list[tuple[str, Any]]:
     ]
 
 
-def _row(summary: InstanceSummary, confidence: float, views: Sequence[Crop], with_crops: bool) -> Html:
+def _row(summary: InstanceSummary, confidence: float, views: Sequence[Crop], with_crops: bool, category: str) -> Html:
     sides = [high - low for low, high in zip(*summary.bounds, strict=True)]
     size = " \u00d7 ".join(f"{side:.2f}" for side in sides)
     volume = math.prod(sides)
     others = [text for text, _ in summary.captions if text != summary.caption][:OTHER_CAPTIONS]
     more = tag("span", "also: " + "; ".join(others), class_="also") if others else None
+    kind = tag("span", f"category: {category}", class_="also")
     tentative = tag("span", "tentative", class_="also") if summary.state != "confirmed" else None
     name = f"{summary.id}: {shortened(summary.caption, 120) or 'no caption'}"
     button = tag("button", swatch(instance_color(summary.id)), summary.id, type="button", class_="id", title="Show it")
@@ -116,7 +134,7 @@ def _row(summary: InstanceSummary, confidence: float, views: Sequence[Crop], wit
         "tr",
         tag("td", button, data_value=summary.id),
         tag("td", _views(views), class_="views") if with_crops else None,
-        tag("td", caption, more, tentative, class_="wrap wide", data_value=summary.caption.lower()),
+        tag("td", caption, more, kind, tentative, class_="wrap wide", data_value=summary.caption.lower()),
         _number(f"{confidence:.2f}", confidence, "confidence"),
         _number(number(summary.observations), summary.observations, "seen"),
         _number(number(summary.voxels), summary.voxels, "voxels"),
@@ -124,7 +142,7 @@ def _row(summary: InstanceSummary, confidence: float, views: Sequence[Crop], wit
         _number(f"{summary.first_frame}\u2013{summary.last_frame}", summary.first_frame, "frames"),
         data_select=f"[[{summary.id}]]",
         data_name=name,
-        data_text=" ".join([str(summary.id), *(text for text, _ in summary.captions)]).lower(),
+        data_text=" ".join([str(summary.id), category, *(text for text, _ in summary.captions)]).lower(),
         aria_selected="false",
     )
 

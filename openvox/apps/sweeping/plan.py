@@ -177,3 +177,16 @@ def items(run: Run, found: Sequence[Source], sets: Sequence[ParameterSet], folde
     for number, (source, one) in enumerate(itertools.product(found, sets)):
         item = Item(number, source, one, run, folder)
         yield replace(item, stem=folder / f"{source.path.stem}-{item.key[:12]}")
+
+
+def elsewhere(item: Item) -> Item:
+    """The item as another machine finds it: its paths from the root, which all machines must share."""
+    source, run = item.source, item.run
+    found = replace(
+        source,
+        path=source.path.resolve(),
+        perception=source.perception.resolve(),
+        truth=None if source.truth is None else source.truth.resolve(),
+    )
+    params = None if run.params is None else run.params.resolve()
+    return replace(item, source=found, run=replace(run, params=params), stem=item.stem.resolve())

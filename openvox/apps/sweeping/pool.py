@@ -14,6 +14,8 @@ from openvox.core.errors import OpenvoxError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Answer = tuple[Any, str | None]
+"""What came of a task, and a sentence if it failed."""
 PATIENCE = 5.0
 """Seconds that a process has to end by itself."""
 
@@ -79,10 +81,24 @@ def _answer(worker: _Worker) -> tuple[Any, str | None, bool]:
         result, error = worker.pipe.recv()
     except (EOFError, OSError):
         worker.process.join(PATIENCE)
-        code = worker.process.exitcode
-        how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
-        return None, f"its process died ({how}); if the memory was short, take fewer --jobs", False
+        return None, death(worker.process.exitcode), False
     return result, error, True
+
+
+def death(code: int | None) -> str:
+    """The sentence of a task whose process ended before it answered."""
+    how = f"signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+    return f"its process died ({how}); if the memory was short, do fewer at a time"
+
+
+def answered(function: Callable[[Any], Any], task: Any) -> Answer:
+    """The function's result, or what went wrong, in words."""
+    try:
+        return function(task), None
+    except OpenvoxError as error:
+        return None, str(error)
+    except Exception as error:
+        return None, f"a fault of openvox itself ({type(error).__name__}: {error})"
 
 
 def _end(worker: _Worker) -> None:
@@ -101,11 +117,4 @@ def _serve(function: Callable[[Any], Any], pipe: Connection) -> None:
             task = pipe.recv()
         except (EOFError, OSError):
             return
-        answer: tuple[Any, str | None]
-        try:
-            answer = (function(task), None)
-        except OpenvoxError as error:
-            answer = (None, str(error))
-        except Exception as error:
-            answer = (None, f"a fault of openvox itself ({type(error).__name__}: {error})")
-        pipe.send(answer)
+        pipe.send(answered(function, task))

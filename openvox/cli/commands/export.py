@@ -15,6 +15,7 @@ EXAMPLES = (
     "openvox export living.map.npz living.glb",
     "openvox export living.map.npz living.yaml --occupancy --set occupancy.obstacle_high=0.5",
     "openvox export living.map.npz living.detections.jsonl --masks",
+    "openvox export living.map.npz surface.ply --mesh",
 )
 
 
@@ -33,9 +34,12 @@ def export(
     masks: Annotated[
         bool, typer.Option("--masks", help="OUT.jsonl: what each frame's camera sees of the map, as detections.")
     ] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="OUT.ply: a surface from the recording; wants the extra mesh (Open3D).")
+    ] = False,
     recording: Annotated[
         Path | None,
-        typer.Option(metavar="REC.mcap", help="For --masks, if it is not where the map names it."),
+        typer.Option(metavar="REC.mcap", help="For --masks and --mesh, if it is not where the map names it."),
     ] = None,
     assignments: options.Assignments = None,
     json: options.Json = False,
@@ -46,15 +50,16 @@ def export(
     asked: list[application.What] = []
     asked += ["occupancy"] if occupancy else []
     asked += ["masks"] if masks else []
+    asked += ["mesh"] if mesh else []
     if len(asked) > 1:
-        raise typer.BadParameter(f"--{' and --'.join(asked)} are two files; write one after the other")
+        raise typer.BadParameter(f"--{' and --'.join(asked)} are several files; write one after the other")
     result = application.export(
         map_file,
         out,
         asked[0] if asked else "map",
         recording=recording,
         assignments=assignments or [],
-        progress=progress("rendering"),
+        progress=progress("meshing" if mesh else "rendering"),
     )
     tables.show(result, json, print_result)
 
@@ -68,6 +73,8 @@ def print_result(data: tables.Data) -> None:
         tables.wrote(data["picture"])
     elif "masks" in data:
         print(f"{data['masks']} masks in {data['frames']} frames of {data['recording']}")
+    elif "triangles" in data:
+        print(f"{data['vertices']} vertices, {data['triangles']} triangles from {data['recording']}")
     else:
         print(f"{data['instances']} instances, {data['voxels']} voxels")
     tables.wrote(data["output"], data["replaced"])

@@ -16,6 +16,7 @@ EXAMPLES = (
     "openvox perceive living.mcap --detections my_detector.jsonl",
     "openvox perceive living.mcap --frontend models --models my.toml",
     "openvox perceive living.mcap office.mcap --set geometry.min_pixels=600",
+    "openvox perceive /data/*.mcap --dask tcp://10.0.0.5:8786",
 )
 
 
@@ -48,6 +49,7 @@ def perceive(
             help="Recordings, or frames of one, at a time; by default one a core. The result is the same.",
         ),
     ] = None,
+    dask: options.Dask = None,
     json: options.Json = False,
 ) -> None:
     """Find masks, captions and embeddings in every frame.
@@ -55,8 +57,10 @@ def perceive(
     Once: what an earlier run did on the same frames in the same way is not done again. Several recordings are done
     side by side; one that fails does not stop the others, and then the exit code is 3.
     """
-    if len(recordings) > 1 and (out or detections):
-        raise typer.BadParameter("--out and --detections belong to one recording; give one")
+    if (len(recordings) > 1 or dask) and (out or detections):
+        raise typer.BadParameter("--out and --detections belong to one recording, on this machine; give one")
+    if jobs is not None and dask is not None:
+        raise typer.BadParameter("--jobs is of this machine, --dask of a cluster; choose")
     options_of_all: dict[str, Any] = {
         "frontend": frontend,
         "models": models,
@@ -66,8 +70,8 @@ def perceive(
         "stride": stride,
         "jobs": jobs,
     }
-    if len(recordings) > 1:
-        _several(recordings, options_of_all, json)
+    if len(recordings) > 1 or dask is not None:
+        _several(recordings, options_of_all, dask, json)
         return
     from openvox.apps import perceive as application
 
@@ -78,11 +82,11 @@ def perceive(
     tables.show(result, json, print_result, "openvox", "replay", recordings[0], *other)
 
 
-def _several(recordings: list[Path], options_of_all: dict[str, Any], json: bool) -> None:
+def _several(recordings: list[Path], options_of_all: dict[str, Any], dask: str | None, json: bool) -> None:
     from openvox.apps import perceive_several as application
 
     found = application.perceive_several(
-        recordings, progress=progress("perceiving", unit="recordings"), **options_of_all
+        recordings, dask=dask, progress=progress("perceiving", unit="recordings"), **options_of_all
     )
     results = [
         {"recording": str(recording), **({"error": result} if isinstance(result, str) else tables.plain(result))}

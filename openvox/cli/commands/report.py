@@ -28,6 +28,7 @@ def report(
         Path | None,
         typer.Option("--recording", metavar="FILE", help="Pictures from here, not from where the map says."),
     ] = None,
+    classes: options.Categories = None,
     json: options.Json = False,
 ) -> None:
     """Write a page to keep: a map to turn, its instances, decisions and growth; or what differs between runs.
@@ -39,7 +40,9 @@ def report(
     if len(files) not in (2, 3):
         raise typer.BadParameter(f"{len(files)} names; expected MAP [TRACE|MAP2] OUT.html, or SWEEP_DIR OUT.html")
     second = files[1] if len(files) == 3 else None
-    tables.show(application.report(files[0], second, files[-1], recording=recording), json, print_result)
+    tables.show(
+        application.report(files[0], second, files[-1], recording=recording, classes=classes), json, print_result
+    )
 
 
 def print_result(data: tables.Data) -> None:

@@ -13,6 +13,7 @@ from openvox.cli.progress import progress
 EXAMPLES = (
     "openvox sweep living.mcap --set association.threshold=0.2,0.3,0.4 --truth scans/living --out thresholds",
     "openvox sweep a.mcap b.mcap --set map.voxel_size=0.03,0.05 --set masks.erosion=1,2 --truth a --truth b --out grid",
+    "openvox sweep /data/*.mcap --set masks.erosion=0,1,2 --dask tcp://10.0.0.5:8786 --out /data/erosion",
 )
 LISTED = 12
 """Sets in the table; the files have all."""
@@ -41,6 +42,7 @@ def sweep(
     ] = None,
     engine: options.Engine = "cpu",
     jobs: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; as many as cores if absent.")] = None,
+    dask: options.Dask = None,
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
@@ -50,6 +52,8 @@ def sweep(
 
     What is already in the folder is not mapped again. Exit code 3 if some items failed.
     """
+    if jobs is not None and dask is not None:
+        raise typer.BadParameter("--jobs is of this machine, --dask of a cluster; choose")
     from openvox.apps import sweep as application
 
     result = application.sweep(
@@ -62,6 +66,7 @@ def sweep(
         params=params,
         engine=engine,
         jobs=jobs,
+        dask=dask,
         start=start,
         end=end,
         stride=stride,

@@ -25,6 +25,7 @@ def view(
     recording: Annotated[
         Path | None, typer.Option(metavar="REC.mcap", help="Of a trace, if it is not where the trace names it.")
     ] = None,
+    classes: options.Categories = None,
     bind: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Where --web listens; others can see it only if you change this.")
     ] = "127.0.0.1",
@@ -42,6 +43,7 @@ def view(
     result = application.view(
         files,
         recording=recording,
+        classes=classes,
         save=save,
         web=web,
         bind=bind,
