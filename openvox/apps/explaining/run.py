@@ -143,7 +143,8 @@ def read_run(path: Path) -> Run:
     """The whole run of a trace. Raises InputError."""
     info = trace_info(path)
     frames = tuple(read_trace(path))
-    if any(found.decisions for found in frames) and not any(found.regrouped for found in frames):
+    joined = any(decision["fragment"] for found in frames for decision in found.decisions)
+    if joined and not any(found.regrouped for found in frames):
         raise InputError(f"{path}: it does not say which fragments are one instance, as older traces do; replay again")
     lengths = [len(found.changes.voxel) for found in frames]
     voxel, fragment, count = (
