@@ -78,6 +78,27 @@ def test_iou_is_that_of_sets_of_voxels() -> None:
     assert found.matches[0].iou == pytest.approx(2 / 4)
 
 
+def test_a_crumb_does_not_take_the_match_of_what_mostly_went_elsewhere() -> None:
+    """2 lies mostly in 8, beside 1, and left a crumb of itself, 9: it was merged, not renamed to the crumb."""
+    found = match_instances(row_of(1, 1, 1, 1, 1, 2, 2, 2, 2), row_of(8, 8, 8, 8, 8, 8, 8, 8, 9))
+    assert [(m.a, m.b) for m in found.matches] == [(1, 8)]
+    assert found.merged == {8: (1, 2)}
+    assert (found.split, found.appeared, found.vanished) == ({}, (9,), ())
+
+
+def test_a_crumb_of_what_was_lost_is_no_match() -> None:
+    found = match_instances(row_of(*[1] * 11), row_of(4, *[0] * 10))
+    assert (found.matches, found.appeared, found.vanished) == ((), (4,), (1,))
+
+
+def test_the_largest_of_many_crumbs_is_the_match_of_what_broke_into_them() -> None:
+    found = match_instances(row_of(*[1] * 24), row_of(*[1 + x // 2 for x in range(24)]))
+    assert [(m.a, m.b) for m in found.matches] == [(1, 1)]
+    assert found.split == {1: tuple(range(1, 13))}
+    back = match_instances(row_of(*[1 + x // 2 for x in range(24)]), row_of(*[1] * 24))
+    assert back.merged == {1: tuple(range(1, 13))}
+
+
 LABELS = st.lists(st.integers(0, 4), min_size=1, max_size=12)
 
 
@@ -91,6 +112,8 @@ def test_every_instance_is_in_exactly_one_place(a: list[int], b: list[int]) -> N
     of_b = [m.b for m in found.matches] + list(found.appeared)
     of_b += [j for i, parts in found.split.items() for j in parts if (i, j) not in {(m.a, m.b) for m in found.matches}]
     assert sorted(of_a) == one.instance_id.tolist()
+    assert set(found.split) <= {m.a for m in found.matches}
+    assert set(found.merged) <= {m.b for m in found.matches}
     assert sorted(of_b) == other.instance_id.tolist()
 
 
@@ -286,6 +309,29 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="begins with"):
         compare(a, tmp_path / "x.npz")
     assert not (tmp_path / "d.rrd").exists()
+
+
+@pytest.mark.parametrize("victim", ["a.map.npz", "b.map.npz", "a.trace.mcap", "living.mcap", "a.perception.mcap"])
+def test_the_picture_is_not_written_over_what_is_compared(tmp_path: Path, victim: str) -> None:
+    meta = {"recording": "living.mcap", "perception": "a.perception.mcap"}
+    a, b = (written(tmp_path / f"{name}.map.npz", row_of(1, 2, meta=meta)) for name in "ab")
+    traced(tmp_path / "a.trace.mcap", (decision(0),))
+    for name in ("living.mcap", "a.perception.mcap"):
+        (tmp_path / name).write_bytes(b"hours of work")
+    before = (tmp_path / victim).read_bytes()
+    (tmp_path / "link.rrd").hardlink_to(tmp_path / victim)
+    for out in (tmp_path / victim, tmp_path / "link.rrd"):
+        with pytest.raises(OutputError, match="would be overwritten by what is made from it; choose another name"):
+            compare(a, b, rerun=out)
+    assert (tmp_path / victim).read_bytes() == before
+
+
+def test_a_caption_that_the_other_also_got_is_no_other_name(tmp_path: Path) -> None:
+    one = row_of(1, 1, captions={1: "lamp"})
+    both = replace(one.instances[0], caption="light", captions=(("light", 2.0), ("lamp", 1.0)))
+    a = written(tmp_path / "a.map.npz", one)
+    b = written(tmp_path / "b.map.npz", replace(one, instances=(both,)))
+    assert compare(a, b)["instances"]["renamed"] == []
 
 
 def test_the_command_exits_with_3_where_they_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,9 +11,10 @@ from openvox.apps.comparing import arrays
 from openvox.apps.comparing.decisions import FIELDS, OUTCOME, Difference, first_difference
 from openvox.apps.comparing.matching import Matching, differing_voxels, match_instances
 from openvox.apps.info import kind_of
+from openvox.apps.origin import belonging
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
-from openvox.core.types import InstanceMap
+from openvox.core.types import InstanceMap, InstanceSummary
 from openvox.formats.atomic import check_not_input
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
@@ -55,7 +56,7 @@ def compare(a: Path, b: Path, *, rerun: Path | None = None) -> dict[str, Any]:
     kind = _one_kind(a, b)
     one, other = (_map_side(a), _map_side(b)) if kind == "map" else (_trace_side(a), _trace_side(b))
     if rerun is not None:
-        check_not_input(rerun, *(path for side in (one, other) for path in (side.map_file, side.trace_file)))
+        check_not_input(rerun, *belonging(a, one.about), *belonging(b, other.about))
     parameters = _differing(one.about.get("parameters", {}), other.about.get("parameters", {}))
     first = outcome = None
     if one.trace is not None and other.trace is not None:
@@ -177,7 +178,7 @@ def _instances(a: InstanceMap | None, b: InstanceMap | None, matching: Matching 
         }
     of_a = {summary.id: summary for summary in a.instances}
     of_b = {summary.id: summary for summary in b.instances}
-    renamed = [match for match in matching.matches if of_a[match.a].caption != of_b[match.b].caption]
+    renamed = [match for match in matching.matches if _renamed(of_a[match.a], of_b[match.b])]
     elsewhere = differing_voxels(matching, a, b)[0]
     held = a.voxel_instance > 0
     return {
@@ -209,6 +210,13 @@ def _instances(a: InstanceMap | None, b: InstanceMap | None, matching: Matching 
         "appeared": [_named(of_b[j]) for j in matching.appeared],
         "vanished": [_named(of_a[i]) for i in matching.vanished],
         "agreement": float(1.0 - elsewhere[held].mean()) if held.any() else None,
+    }
+
+
+def _renamed(one: InstanceSummary, other: InstanceSummary) -> bool:
+    """Neither was ever called what the other is called: of two captions that both got, either may lead."""
+    return one.caption not in {other.caption, *(text for text, _ in other.captions)} and other.caption not in {
+        text for text, _ in one.captions
     }
 
 

@@ -11,12 +11,12 @@ from openvox import __version__
 from openvox.apps.described import described
 from openvox.apps.exporting.points import points
 from openvox.apps.exporting.table import write_table
-from openvox.apps.origin import recording_of
+from openvox.apps.origin import belonging, recording_of
 from openvox.core.errors import InputError
 from openvox.core.export_parameters import ExportParameters
 from openvox.core.parameters import from_assignments, updated
 from openvox.core.types import InstanceMap
-from openvox.formats.atomic import partial_file
+from openvox.formats.atomic import check_not_input, partial_file
 from openvox.formats.map_npz import SUFFIX, read_map
 from openvox.formats.ply import ply
 
@@ -57,6 +57,8 @@ def export(
     if recording is not None and what not in ("masks", "mesh"):
         raise InputError(f"--recording {recording} has no effect here, because no pictures are needed; leave it out")
     result = read_map(map_file)
+    for written in (out, out.with_suffix(".pgm")) if what == "occupancy" else (out,):
+        check_not_input(written, *belonging(map_file, result.meta), recording)
     replaced = out.exists()
     about = {
         "output": str(out),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
+from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.recording import recording_info
+from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 
 
 def named_digest(result: InstanceMap, name: str) -> str | None:
@@ -36,3 +40,18 @@ def recording_of(path: Path, result: InstanceMap, given: Path | None) -> Path | 
         return path.parent / named if recording_info(path.parent / named).digest == expected else None
     except InputError:
         return None  # it was not asked for
+
+
+def belonging(path: Path, about: Mapping[str, Any] | None = None) -> Iterator[Path]:
+    """A map or trace, the other of the two beside it, and the recording and perception that it names.
+
+    about: the map's meta, or the run that the trace notes. The files need not be there."""
+    stem = path.name.removesuffix(MAP_SUFFIX).removesuffix(TRACE_SUFFIX)
+    yield path
+    yield from (path.with_name(stem + suffix) for suffix in (MAP_SUFFIX, TRACE_SUFFIX))
+    about = about or {}
+    sources = about.get("sources")
+    for name in ("recording", "perception"):
+        noted = sources.get(name) if isinstance(sources, Mapping) else [about.get(name)]
+        if isinstance(noted, (list, tuple)) and noted and isinstance(noted[0], str) and noted[0]:
+            yield path.parent / noted[0]

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from openvox.apps.info import kind_of
-from openvox.apps.origin import named_digest, recording_of
+from openvox.apps.origin import belonging, named_digest, recording_of
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.core.types import InstanceMap
-from openvox.formats.atomic import partial_file
+from openvox.formats.atomic import check_not_input, partial_file
 from openvox.formats.map_npz import SUFFIX, read_map
 from openvox.formats.recording import recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
@@ -58,8 +58,10 @@ def report(
     if kind != "map":
         raise InputError(f"{first} is a {kind}; a report begins with a map, STEM.map.npz, or the folder of a sweep")
     if second is not None and kind_of(second) == "map":
+        check_not_input(out, *belonging(first), *belonging(second))
         return _written(out, "maps", _two_maps(first, second, recording))
     result = read_map(first)
+    check_not_input(out, *belonging(first, result.meta), second, recording)
     text, trace, source, remarks = _one_map(first, result, second, recording, classes)
     found = _written(out, "map", text)
     return replace(found, instances=len(result.instances), trace=trace, recording=source, notes=tuple(remarks))

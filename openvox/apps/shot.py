@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from openvox.apps.origin import belonging
 from openvox.apps.view import as_rrd, kind
 from openvox.formats.atomic import check_not_input
 
@@ -27,7 +28,7 @@ def shot(
     Raises InputError, OutputError."""
     from openvox.view.screenshot import check_machine, take_shot
 
-    check_not_input(out, path, recording)
+    check_not_input(out, *belonging(path), recording)
     found, replaced = kind(path), out.exists()
     check_machine()
     with tempfile.TemporaryDirectory(prefix="openvox-shot-") as folder:

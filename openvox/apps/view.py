@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.info import kind_of
+from openvox.apps.origin import belonging
 from openvox.apps.retrace import Pictures, steps_of
 from openvox.core.digest import frame_digest
 from openvox.core.errors import InputError
@@ -101,7 +102,7 @@ def as_rrd(
 
     classes: a file of names for the categories of a map, which otherwise come from its captions.
     notice: told what is missing from the picture. Raises InputError, OutputError."""
-    check_not_input(out, path, recording)
+    check_not_input(out, *belonging(path), recording)
     found = kind(path)
     if found == "trace":
         _draw_trace(path, out, recording, notice)
@@ -154,6 +155,7 @@ def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice) -
 
     info = trace_info(path)
     pictures = _pictures(info, recording, notice)
+    check_not_input(out, pictures.recording, pictures.perception)
     result = _map_of(info)
     with RerunObserver(
         out,

@@ -41,6 +41,11 @@ def markdown(result: Mapping[str, Any]) -> str:
         lines.append(f"- merged: {', '.join(map(_one, row['a']))} into {_one(row['b'])}")
     for what in ("appeared", "vanished"):
         lines += [f"- {what}: {_one(row)}" for row in result[what]]
+    lines += [
+        f"- renamed: {match['a']} ({escaped(match['a_caption'])}) is {match['b']} ({escaped(match['b_caption'])})"
+        for match in result["matches"]
+        if match["a"] in result["instances"]["renamed"]
+    ]
     first = result["first_outcome"]
     if first is not None:
         mask = "" if first["mask"] is None else f", mask {first['mask']}"

@@ -18,6 +18,10 @@ from openvox.core.types import InstanceMap
 
 MOSTLY = 0.5
 """Share of an instance that must lie in another for the two to have to do with each other."""
+ALIKE = 0.1
+"""Intersection over union from which on one instance is another's match, though most of the larger lies elsewhere."""
+Shares = Mapping[tuple[int, int], float]
+"""(instance, instance of the other map) to the share of the first one's voxels that lie in the second."""
 Labels = NDArray[np.int64]
 """(N,): for each voxel of a map, the instance of the other map there; 0 = background or nothing."""
 
@@ -34,7 +38,7 @@ class Match:
 
 @dataclass(frozen=True)
 class Matching:
-    """Every instance of both maps is in exactly one place: matched, or in one of the four others' groups."""
+    """Every instance of A is matched, merged or vanished, every one of B matched, a piece or appeared: one of them."""
 
     matches: tuple[Match, ...]
     """By a."""
@@ -43,26 +47,23 @@ class Matching:
     merged: Mapping[int, tuple[int, ...]]
     """Instance of b to the instances of a that it took together, its match among them, ascending."""
     appeared: tuple[int, ...]
-    """Of b: most of it is in no instance of a."""
+    """Of b: most of it is in no instance of a that has a match."""
     vanished: tuple[int, ...]
-    """Of a: most of it is in no instance of b."""
+    """Of a: most of it is in no instance of b that has a match."""
     a_in_b: Labels = field(repr=False)
     b_in_a: Labels = field(repr=False)
 
 
 def match_instances(a: InstanceMap, b: InstanceMap) -> Matching:
     """One to one, the largest intersection over union first (lowest ids on a tie), among pairs of which one lies
-    mostly in the other; what is left over is a piece, was merged, appeared or vanished."""
+    mostly in the other and neither mostly in a third; what is left over is a piece, was merged, appeared or vanished.
+    """
     a_in_b, b_in_a = _labels_in(a, b), _labels_in(b, a)
     of_a, of_b = _shares(a, a_in_b), _shares(b, b_in_a)
     iou = {(i, j): _iou(of_a.get((i, j)), of_b.get((j, i))) for i, j in {*of_a, *((i, j) for j, i in of_b)}}
-    related = [(i, j) for i, j in iou if max(of_a.get((i, j), 0.0), of_b.get((j, i), 0.0)) >= MOSTLY]
-    to_b: dict[int, int] = {}
-    to_a: dict[int, int] = {}
-    for i, j in sorted(related, key=lambda pair: (-iou[pair], pair)):
-        if i not in to_b and j not in to_a:
-            to_b[i], to_a[j] = j, i
-    home_of, origin_of = _homes(of_a, to_b), _homes(of_b, to_a)
+    to_b, to_a = _one_to_one(iou, of_a, of_b)
+    home_of = {i: j for i, j in _homes(of_a).items() if i not in to_b and j in to_a}
+    origin_of = {j: i for j, i in _homes(of_b).items() if j not in to_a and i in to_b}
     split = _groups(origin_of, to_b)
     return Matching(
         matches=tuple(Match(i, j, iou[i, j]) for i, j in sorted(to_b.items())),
@@ -73,6 +74,36 @@ def match_instances(a: InstanceMap, b: InstanceMap) -> Matching:
         a_in_b=a_in_b,
         b_in_a=b_in_a,
     )
+
+
+def _one_to_one(
+    iou: Mapping[tuple[int, int], float], of_a: Shares, of_b: Shares
+) -> tuple[dict[int, int], dict[int, int]]:
+    """Matches, from a to b and from b to a."""
+    home_of, origin_of = _homes(of_a), _homes(of_b)
+    pieced, filled = _covered(origin_of, of_a), _covered(home_of, of_b)
+
+    def fit(i: int, j: int) -> bool:
+        home, origin = home_of.get(i), origin_of.get(j)
+        if {home, origin} == {None} or home not in (j, None) or origin not in (i, None):
+            return False  # of a crumb's whole the most lies elsewhere: there it is looked for
+        # a crumb alone is no match, but the largest of many, of which the other consists, is
+        return iou[i, j] >= ALIKE or (origin == i and pieced[i] >= MOSTLY) or (home == j and filled[j] >= MOSTLY)
+
+    to_b: dict[int, int] = {}
+    to_a: dict[int, int] = {}
+    for i, j in sorted(iou, key=lambda pair: (-iou[pair], pair)):
+        if i not in to_b and j not in to_a and fit(i, j):
+            to_b[i], to_a[j] = j, i
+    return to_b, to_a
+
+
+def _covered(home_of: Mapping[int, int], shares_of_homes: Shares) -> dict[int, float]:
+    """Share of each home that is held by those that lie mostly in it."""
+    covered: dict[int, float] = {}
+    for one, home in sorted(home_of.items()):
+        covered[home] = covered.get(home, 0.0) + shares_of_homes.get((home, one), 0.0)
+    return covered
 
 
 def differing_voxels(matching: Matching, a: InstanceMap, b: InstanceMap) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -95,8 +126,8 @@ def _labels_in(one: InstanceMap, other: InstanceMap) -> Labels:
     return labels_of_rows(rows_at_points(voxel_centers(one), other, reach), other)
 
 
-def _shares(one: InstanceMap, there: Labels) -> dict[tuple[int, int], float]:
-    """(instance, instance of the other map) to the share of the first one's voxels that lie in the second."""
+def _shares(one: InstanceMap, there: Labels) -> Shares:
+    """Of `one`, whose voxels lie `there` in the other map."""
     mine = one.voxel_instance.astype(np.int64)
     both = (mine > 0) & (there > 0)
     pairs, counts = np.unique(np.stack([mine[both], there[both]], 1), axis=0, return_counts=True)
@@ -109,11 +140,11 @@ def _iou(share_of_a: float | None, share_of_b: float | None) -> float:
     return 1.0 / (1.0 / share_of_a + 1.0 / share_of_b - 1.0) if share_of_a and share_of_b else 0.0
 
 
-def _homes(shares: Mapping[tuple[int, int], float], matched: Mapping[int, int]) -> dict[int, int]:
-    """Where most of each unmatched instance lies in the other map, if half of it lies in one (the lowest on a tie)."""
+def _homes(shares: Shares) -> dict[int, int]:
+    """Where most of each instance lies in the other map, if half of it lies in one (the lowest on a tie)."""
     homes: dict[int, int] = {}
     for (one, other), share in sorted(shares.items(), key=lambda item: (-item[1], item[0])):
-        if share >= MOSTLY and one not in matched:
+        if share >= MOSTLY:
             homes.setdefault(one, other)
     return homes
 

@@ -14,7 +14,7 @@ EXAMPLES = (
     "openvox compare living.trace.mcap coarse.trace.mcap",
 )
 LISTED = 12
-"""Rows of a table; --json has all."""
+"""Rows of each sort in a table; --json has all."""
 ALIKE = 0.75
 """Matched instances that overlap more are not listed."""
 
@@ -49,6 +49,8 @@ def print_result(data: tables.Data) -> None:
     if changed:
         rows = [[name, _exact(pair["a"]), _exact(pair["b"])] for name, pair in changed.items()]
         tables.print_table(["what was set", "A", "B"], rows)
+        if any(None in (pair["a"], pair["b"]) for pair in changed.values()):
+            print("unknown: one of the files does not note it, as those of another version of openvox")
     _print_first(data)
     if data["instances"] is not None:
         _print_instances(data)
@@ -62,7 +64,7 @@ _AB = (("A", "a"), ("B", "b"))
 
 def _exact(value: object) -> str:
     """Every digit of a parameter counts."""
-    return tables.cell(str(value) if isinstance(value, float) else value)
+    return "unknown" if value is None else tables.cell(str(value) if isinstance(value, float) else value)
 
 
 def _short(pair: tables.Data) -> tables.Data:
@@ -98,26 +100,41 @@ def _print_instances(data: tables.Data) -> None:
     if data["agreement"] is not None:
         print(f"{data['agreement']:.1%} of the voxels in A's instances lie in the same instance of B")
     print(f"instances: {len(data['matches'])} matched; {counts}")
+    of_a = {row["a"]: row for row in data["matches"]}
+    renamed = [of_a[i] for i in found["renamed"]]
     rows = [
-        *([_one(row["a"]), "split", ", ".join(map(_one, row["b"]))] for row in data["split_into"]),
-        *([", ".join(map(_one, row["a"])), "merged", _one(row["b"])] for row in data["merged_into"]),
-        *([_one(row), "vanished", ""] for row in _largest(data["vanished"])),
-        *(["", "appeared", _one(row)] for row in _largest(data["appeared"])),
+        *_first_of([[_one(row["a"]), "split", _several(row["b"])] for row in data["split_into"]], "split"),
+        *_first_of([[_several(row["a"]), "merged", _one(row["b"])] for row in data["merged_into"]], "merged"),
+        *_first_of([[_one(row), "vanished", ""] for row in _largest(data["vanished"])], "vanished"),
+        *_first_of([["", "appeared", _one(row)] for row in _largest(data["appeared"])], "appeared"),
+        *_first_of(
+            [[f"{m['a']} {m['a_caption']}", "renamed", f"{m['b']} {m['b_caption']}"] for m in renamed], "renamed"
+        ),
     ]
-    matches = {row["a"]: row for row in data["matches"]}
-    for i in found["renamed"]:
-        rows.append([f"{i} {matches[i]['a_caption']}", "renamed", f"{matches[i]['b']} {matches[i]['b_caption']}"])
     if rows:
-        tables.print_table(["in A (voxels)", "", "in B (voxels)"], rows[: 4 * LISTED])
+        tables.print_table(["in A (voxels)", "", "in B (voxels)"], rows)
     worst = sorted((row for row in data["matches"] if row["iou"] < ALIKE), key=lambda row: (row["iou"], row["a"]))
     if worst:
         columns = ["A", "caption", "voxels", "B", "voxels", "IoU"]
         cells = [[m["a"], m["a_caption"], m["a_voxels"], m["b"], m["b_voxels"], m["iou"]] for m in worst[:LISTED]]
         tables.print_table(columns, cells, "matched, but least alike")
+        if len(worst) > LISTED:
+            print(f"... and {len(worst) - LISTED} more; --json has all")
+
+
+def _first_of(rows: list[list[str]], what: str) -> list[list[str]]:
+    more = len(rows) - LISTED
+    return rows if more <= 0 else [*rows[:LISTED], ["", f"... and {more} more {what}", ""]]
 
 
 def _largest(rows: list[tables.Data]) -> list[tables.Data]:
-    return sorted(rows, key=lambda row: (-row["voxels"], row["instance"]))[:LISTED]
+    return sorted(rows, key=lambda row: (-row["voxels"], row["instance"]))
+
+
+def _several(rows: list[tables.Data]) -> str:
+    """The named ones, the first of many."""
+    more = len(rows) - LISTED
+    return ", ".join(map(_one, rows[:LISTED])) + (f" and {more} more" if more > 0 else "")
 
 
 def _one(row: tables.Data) -> str:
