@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ from openvox.formats.recording import RecordingWriter, read_frames, recording_in
 from openvox.formats.trace import read_trace
 from openvox.mapper.mapper import Mapper
 from openvox.sources.paced import paced
+from openvox.view import viewer
 
 SETS = ["masks.min_pixels=0"]
 
@@ -391,6 +393,30 @@ def test_rerun_shows_latency_and_dropped_frames(played: Path, tmp_path: Path) ->
     chunks = [one for one in RrdReader(tmp_path / "run.rrd").stream() if str(one.entity_path) == "/stats/milliseconds"]
     assert "latency" in str([chunk.to_record_batch().to_pydict() for chunk in chunks if chunk.is_static])
     assert sum(chunk.num_rows for chunk in chunks if not chunk.is_static) >= 1
+
+
+def test_a_window_is_ready_before_the_run_and_stays_after_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import socket, sys; s = socket.create_server(('127.0.0.1', int(sys.argv[1]))); s.accept(); s.accept()"
+    started: list[subprocess.Popen[bytes]] = []
+
+    @contextmanager
+    def fake(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
+        assert arguments[:3] == ["--bind", "127.0.0.1", "--port"]
+        with subprocess.Popen([sys.executable, "-c", script, arguments[3]]) as process:
+            started.append(process)
+            yield process
+
+    monkeypatch.setattr(viewer, "has_screen", lambda: True)
+    monkeypatch.setattr(viewer, "running", fake)
+    with viewer.window() as url:
+        viewer.check_url(url)  # the second connection, after which the viewer ends
+    assert started[0].returncode == 0
+
+
+def test_without_a_screen_a_window_is_a_sentence(played: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "has_screen", lambda: False)
+    with pytest.raises(InputError, match="there is no screen here; use --connect"):
+        lived(played, tmp_path / "run", spawn=True)
 
 
 @pytest.mark.parametrize(

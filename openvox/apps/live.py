@@ -100,6 +100,7 @@ def live(
     max_memory: int | None = None,
     rerun: Path | None = None,
     connect: str | None = None,
+    spawn: bool = False,
     publish: int | None = None,
     start: int | None = None,
     end: int | None = None,
@@ -119,10 +120,11 @@ def live(
     source: a recording, played `rate` times as fast as it was made or, with follow, as it is written; or ws://HOST:PORT,
     a Foxglove server, of which world, camera and topics choose as of a log. waiting: frames that may wait; of more,
     the oldest is recorded but not mapped. port: of the loopback, to answer questions on; 0 = any, and `ready` is told
-    the address. connect: URL of a Rerun viewer. publish: port of the loopback for a Foxglove server of boxes, captions
-    and changed voxels; 0 = any. stop: set to end the run well, with what has come until then. status: told after every
-    frame. The rest as replay's; so is the result, with `dropped`, `latency_ms`, and in `ms` also `record` and
-    `perceive`. Raises InputError, OutputError: what was written so far stays as NAME.partial."""
+    the address. connect: URL of a Rerun viewer; spawn: open one, whose window outlives the run. publish: port of the
+    loopback for a Foxglove server of boxes, captions and changed voxels; 0 = any. stop: set to end the run well, with
+    what has come until then. status: told after every frame. The rest as replay's; so is the result, with `dropped`,
+    `latency_ms`, and in `ms` also `record` and `perceive`. Raises InputError, OutputError: what was written so far
+    stays as NAME.partial."""
     parameters = chosen_parameters(preset_name, params, assignments)
     if not 1e-3 <= rate <= 1e6:
         raise InputError(f"--rate is {rate}; expected 0.001 to 1000000 times the recording's pace")
@@ -152,9 +154,12 @@ def live(
     shared = SharedMap(Mapper(parameters, watch, engine), {**about, "encoder": stream.eyes.encoder})
     gauge, counter = Gauge(status), Counting(None, 0)
     limits: list[Observer] = [MemoryLimit(max_memory)] if max_memory else []
-    questions = Questions(lambda texts, top: _answer(shared, texts, top), port)
     with ExitStack() as stack:
-        ready(stack.enter_context(questions))
+        if spawn:
+            from openvox.view.viewer import window
+
+            connect = stack.enter_context(window())
+        ready(stack.enter_context(Questions(lambda texts, top: _answer(shared, texts, top), port)))
         watchers = _watchers(stack, gauge, parameters.map.voxel_size, rerun, connect)
         if publish is not None:
             from openvox.view.foxglove_publisher import FoxglovePublisher

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from urllib.parse import quote, urlsplit
 
@@ -61,6 +61,21 @@ def open_window(files: Sequence[Path]) -> None:
             return
     if code:
         raise InputError("the Rerun viewer could not open a window; use --web, or --save OUT.rrd for another machine")
+
+
+@contextmanager
+def window() -> Iterator[str]:
+    """A window that waits for a run; yields its URL. After the block it stays until it is closed, or Ctrl-C.
+
+    Raises InputError where there is no screen."""
+    if not has_screen():
+        raise InputError("there is no screen here; use --connect URL for a viewer elsewhere, or --rerun FILE.rrd")
+    port = free_port(LOOPBACK)
+    with running(["--bind", LOOPBACK, "--port", str(port)]) as process:
+        _wait_for(process, LOOPBACK, port)
+        yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+        with suppress(KeyboardInterrupt):
+            process.wait()
 
 
 def has_screen() -> bool:

@@ -74,6 +74,7 @@ def live(
     connect: Annotated[
         str | None, typer.Option(metavar="URL", help="Show it in a Rerun viewer, as rerun+http://127.0.0.1:9876/proxy.")
     ] = None,
+    spawn: Annotated[bool, typer.Option("--spawn", help="Open a Rerun viewer, and show it there.")] = False,
     publish: Annotated[
         int | None,
         typer.Option(metavar="PORT", min=0, max=65535, help="Boxes, captions, changed voxels for Foxglove; 0 = any."),
@@ -105,6 +106,7 @@ def live(
             max_memory=max_memory,
             rerun=rerun,
             connect=connect,
+            spawn=spawn,
             publish=publish,
             start=start,
             end=end,
@@ -119,7 +121,7 @@ def live(
             ready=lambda address: typer.echo(f'ask it: openvox query --live {address} "a chair"', err=True),
             notice=lambda text: typer.echo(text, err=True),
         )
-    tables.show(result, json, print_result, "openvox", "replay", result["outputs"]["recording"])
+    tables.show(result, json, print_result, "openvox", "replay", result["outputs"]["recording"], "--out", "again")
 
 
 @contextmanager
