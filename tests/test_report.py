@@ -27,7 +27,7 @@ from openvox.formats.map_npz import read_map, write_map
 from openvox.formats.recording import RecordingWriter
 from openvox.view.page import cubes
 from openvox.view.page.document import Html, escaped, page, tag
-from openvox.view.page.plots import bars, histogram, lines
+from openvox.view.page.plots import bars, dots, histogram, lines
 
 HOSTILE = "</script><script>document.title = 'stolen'</script><img src=http://example.com/x onerror=alert(1)> \u202ecba"
 
@@ -95,6 +95,15 @@ def test_bars_are_as_long_as_their_numbers() -> None:
     assert widths[2] == 0
 
 
+def test_dots_lie_between_the_least_and_the_largest_number() -> None:
+    x = [
+        float(x) for x in re.findall(r'<circle [^>]*cx="([\d.]+)"', dots("t", [("a", 0.81), ("b", 0.82), ("c", 0.83)]))
+    ]
+    assert x[0] < x[1] < x[2]
+    assert x[1] - x[0] == pytest.approx(x[2] - x[1], abs=0.2)
+    assert dots("t", [("a", 0.81), ("b", 0.81)]).count('cx="177"') == 2
+
+
 def test_a_histogram_counts_each_value_once_and_those_beyond_it_at_its_ends() -> None:
     found = re.findall(r"<title>[^<]*: (\d+)</title>", histogram("t", [-9, -1, -0.5, 0.0, 0.99, 1, 7], -1, 1, bins=4))
     assert found == ["2", "1", "1", "3"]
@@ -106,7 +115,7 @@ def test_a_line_ends_at_the_right_at_its_last_value() -> None:
     assert "a ends at 4" in text
 
 
-@pytest.mark.parametrize("plot", [bars("t", []), histogram("t", [], 0, 1), lines("t", [], [("a", [])])])
+@pytest.mark.parametrize("plot", [bars("t", []), dots("t", []), histogram("t", [], 0, 1), lines("t", [], [("a", [])])])
 def test_plots_of_nothing_are_empty(plot: str) -> None:
     assert "<svg" in plot
 

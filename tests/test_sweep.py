@@ -67,6 +67,19 @@ def test_a_single_value_holds_for_every_set() -> None:
     assert sets[0].default
 
 
+def test_single_values_alone_are_compared_with_the_presets_own() -> None:
+    varied, sets = parameter_sets(RUN, ["association.threshold=0.2"])
+    assert varied == {"association.threshold": [0.2]}
+    assert [(one.values["association.threshold"], one.default) for one in sets] == [(0.2, False), (0.4, True)]
+
+
+def test_sets_hardly_behind_the_best_are_told() -> None:
+    _, sets = parameter_sets(RUN, ["masks.erosion=0,1,2"])
+    found = best(described_sets(sets, [item(0, 0.5), item(1, 0.4995), item(2, 0.49)]))
+    assert found is not None
+    assert (found["set"], found["ties"]) == (0, [1])
+
+
 @pytest.mark.parametrize(
     ("sets", "sentence"),
     [
@@ -245,6 +258,7 @@ def test_main_effects_are_means_over_the_grid() -> None:
         "parameters": {"association.threshold": 0.3, "masks.erosion": 2},
         "score": 0.9,
         "default_score": 0.7,
+        "ties": [],
     }
 
 

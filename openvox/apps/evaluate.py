@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from openvox.apps.ranking import Encoder
 from openvox.apps.scoring.calibration import expected_calibration_error
-from openvox.apps.scoring.instances import InstanceScore, Overlaps, score_instances
+from openvox.apps.scoring.instances import ELSEWHERE, FAR, InstanceScore, Overlaps, score_instances
 from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.scoring.rendered import perception_of, score_rendered
@@ -59,6 +59,7 @@ def evaluate(
         "rendered_masks": None if rendered is None else asdict(rendered),
         **_words(known, labels, result, encoder, names),
         "notes": [
+            *([ELSEWHERE] if scores.missed_share > FAR else []),
             *([f"no detected_iou: {no_perception}"] if rendered is not None and no_perception else []),
             *([f"no semantics and retrieval: {no_encoder}"] if no_encoder else []),
             *([] if truth.is_dir() else [NOISY_TRUTH]),

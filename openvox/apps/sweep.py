@@ -16,11 +16,12 @@ from openvox.apps.compare import first_outcome
 from openvox.apps.cores import cores
 from openvox.apps.replay import warm_up
 from openvox.apps.report import report
+from openvox.apps.scoring.instances import ELSEWHERE, FAR
 from openvox.apps.sweeping.cluster import cluster
 from openvox.apps.sweeping.item import MAPPED, run_item
 from openvox.apps.sweeping.plan import Item, ParameterSet, Run, Source, elsewhere, items, parameter_sets, sources
 from openvox.apps.sweeping.pool import Outcome, in_processes
-from openvox.apps.sweeping.summary import MEASURES, best, described_sets, effects, table
+from openvox.apps.sweeping.summary import MEASURES, Row, best, described_sets, effects, table
 from openvox.core.digest import digest_of
 from openvox.core.errors import InputError, OutputError
 from openvox.core.mapper_parameters import preset
@@ -94,6 +95,7 @@ def sweep(
         "seconds": time.perf_counter() - began,
         "jobs": workers,
         "dask": dask,
+        "notes": _notes(rows),
     }
     _write(out / TABLE, table(rows, list(varied)))
     _write(out / RESULT, json.dumps(result, indent=1, allow_nan=False) + "\n")
@@ -111,6 +113,16 @@ def _workers(items: int, jobs: int | None, dask: str | None) -> Iterator[tuple[C
         return
     with cluster(dask) as found:
         yield found.each, min(items, found.threads)
+
+
+def _notes(rows: Sequence[Row]) -> list[str]:
+    """Recordings whose truth no set can have met."""
+    scores = {row["recording"]: [one["scores"] for one in rows if one["recording"] == row["recording"]] for row in rows}
+    return [
+        f"{name}: {ELSEWHERE}"
+        for name, known in scores.items()
+        if any(known) and all(one is None or one["missed_share"] > FAR for one in known)
+    ]
 
 
 def _about(run: Run) -> dict[str, Any]:

@@ -27,7 +27,7 @@ ColorOf = Callable[[int], tuple[int, int, int]]
 PAPER = (250, 250, 248)
 STRUCTURE = (222, 221, 217)
 """Voxels of no instance: walls and floor, and what was not detected."""
-NOTES = 18
+NOTES = 12
 FLOOR_METRES = 0.15
 """Background up to here above the floor stays on the near side, where walls would hide the room."""
 CEILING_METRES = 0.3

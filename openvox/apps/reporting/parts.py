@@ -96,8 +96,12 @@ def _choice(name: str, options: Sequence[tuple[str, str]]) -> Html:
     return tag("select", [tag("option", words, value=value) for value, words in options], data_set=name)
 
 
-def searched(name: str, title: str, columns: Sequence[Column], rows: Sequence[Html], what: str) -> Html:
-    """A table under its heading that can be sorted and searched. name: its id. what: its rows, as in "instances"."""
+def searched(
+    name: str, title: str, columns: Sequence[Column], rows: Sequence[Html], what: str, *, cards: bool = False
+) -> Html:
+    """A table under its heading that can be sorted and searched. name: its id. what: its rows, as in "instances".
+
+    cards: on a phone a row is a card, its cells named by their data-label."""
     field = tag("input", type="search", placeholder=f"Search {what}", data_table=name, data_count=f"{name}-count")
     search = (
         tag("label", tag("span", f"Search {what}", class_="hidden"), field),
@@ -113,7 +117,13 @@ def searched(name: str, title: str, columns: Sequence[Column], rows: Sequence[Ht
         )
         for c in columns
     ]
-    table = tag("table", tag("thead", tag("tr", heads)), tag("tbody", rows), id=name, class_="sorted")
+    table = tag(
+        "table",
+        tag("thead", tag("tr", heads)),
+        tag("tbody", rows),
+        id=name,
+        class_="sorted cards" if cards else "sorted",
+    )
     return tag("section", tag("h2", title), tag("div", search, class_="search"), tag("div", table, class_="scroll"))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from openvox.apps.reporting.parts import Column, head, notes, number, pairs, searched
 from openvox.core.errors import InputError
 from openvox.view.page.document import Html, page, tag
-from openvox.view.page.plots import bars
+from openvox.view.page.plots import dots
 
 FILE = "sweep.json"
 FORMAT_VERSION = 1
@@ -43,9 +43,10 @@ def sweep_page(title: str, sweep: Mapping[str, Any]) -> str:
     try:
         items, sets = sweep["items"], sweep["sets"]
         main = [
+            notes(sweep.get("notes", ())),
             _best(sweep),
             _effects(sweep["effects"], sweep["measure"]),
-            _sets(sets, sweep["varied"]),
+            _sets(_by_rank(sets, sweep["measure"]), sweep["varied"]),
             _items(items, sweep["varied"]),
             _failures(items),
             _inputs(sweep),
@@ -75,7 +76,13 @@ def _best(sweep: Mapping[str, Any]) -> list[Html]:
     gain = best["score"] - best["default_score"] if best["default_score"] is not None else None
     beside = "" if gain is None else f", {gain:+.4f} against the default's {best['default_score']:.4f}"
     text = f"{sweep['measure']} {best['score']:.4f}{beside}"
-    return [tag("h2", "The best set"), pairs([(_words(best["parameters"]), text, False)])]
+    ties = best.get("ties", ())
+    told = f"{len(ties)} more, less than 0.001 behind, as good: set {', '.join(map(str, ties))}." if ties else ""
+    return [
+        tag("h2", "The best set"),
+        pairs([(_words(best["parameters"]), text, False)]),
+        *notes([told] if told else []),
+    ]
 
 
 def _effects(effects: Sequence[Mapping[str, Any]], measure: str | None) -> list[Html]:
@@ -86,15 +93,20 @@ def _effects(effects: Sequence[Mapping[str, Any]], measure: str | None) -> list[
     for effect in shown:
         rows = [(number(mean["value"]), float(mean["mean"])) for mean in effect["means"] if mean["mean"] is not None]
         title = f"{effect['parameter']}: {effect['measure']}"
-        note = "mean at each value" + (
+        note = "mean at each value, on an axis that does not begin at zero" + (
             f"; {float(effect['range']):.4g} from least to most" if effect["range"] else ": no difference"
         )
-        plots.append(bars(title, rows, note, digits=4 if effect["measure"] == measure else 1))
+        plots.append(dots(title, rows, note, digits=4 if effect["measure"] == measure else 1))
     return [tag("h2", "Which parameter matters"), tag("div", plots, class_="plots") if plots else _nothing()]
 
 
 def _nothing() -> Html:
     return tag("p", "Only one value of each was tried.", class_="note")
+
+
+def _by_rank(sets: Sequence[Mapping[str, Any]], measure: str | None) -> list[Mapping[str, Any]]:
+    """The best first; those without a score last."""
+    return sorted(sets, key=lambda one: -((one["scores"] or {}).get(measure) or -1.0))
 
 
 def _sets(sets: Sequence[Mapping[str, Any]], varied: Mapping[str, Any]) -> Html:

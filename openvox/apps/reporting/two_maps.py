@@ -44,7 +44,7 @@ def maps_page(names: tuple[str, str], maps: tuple[InstanceMap, InstanceMap], fou
     lead = "The maps are the same." if found["same"] else "Two maps of one place: what became of each instance."
     main = [
         scenes([f"A: {names[0]}", f"B: {names[1]}"], modes, hint, _legend()),
-        searched("instances", "Instances", COLUMNS, [_row(entry) for entry in entries], "instances"),
+        searched("instances", "Instances", COLUMNS, [_row(entry) for entry in entries], "instances", cards=True),
         _where(found),
         _parameters(found),
     ]
@@ -107,19 +107,23 @@ def _row(entry: Entry) -> Html:
     return tag(
         "tr",
         tag("td", button, data_value=kind),
-        _side(a),
-        _side(b),
-        tag("td", "" if iou is None else f"{iou:.2f}", class_="number", data_value=iou or 0),
-        *(tag("td", number(total) if total else "", class_="number", data_value=total) for total in sums),
+        _side(a, "A"),
+        _side(b, "B"),
+        tag("td", "" if iou is None else f"{iou:.2f}", class_="number", data_value=iou or 0, data_label="overlap"),
+        *(
+            tag("td", number(n) if n else "", class_="number", data_value=n, data_label=f"voxels {k}")
+            for k, n in zip("AB", sums, strict=True)
+        ),
         data_select=str(ids),
         data_name=name,
         aria_selected="false",
     )
 
 
-def _side(side: Sequence[Mapping[str, Any]]) -> Html:
+def _side(side: Sequence[Mapping[str, Any]], name: str) -> Html:
     lines = [tag("div", tag("b", one["instance"]), " ", one["caption"] or "no caption") for one in side]
-    return tag("td", lines, class_="wrap", data_value=side[0]["caption"].lower() if side else "")
+    value = side[0]["caption"].lower() if side else ""
+    return tag("td", lines, class_="wrap", data_value=value, data_label=f"in {name}")
 
 
 def _where(found: Mapping[str, Any]) -> list[Html | None]:

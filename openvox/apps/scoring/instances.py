@@ -20,6 +20,12 @@ PIECE = 0.10
 """Of an object's points in one prediction make it a piece; two pieces make a split."""
 WELD = 0.25
 """Of the points of two objects in the main prediction of one of them make them merged."""
+FAR = 0.75
+"""Of the points of objects without a label: more, and the truth is likely of another place; of two rooms .83."""
+ELSEWHERE = (
+    "most of the truth's objects lie in no instance of the map; is the truth of this recording, in the same "
+    "coordinates, and of no more than was mapped?"
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -84,12 +84,13 @@ class Item:
 
 def parameter_sets(run: Run, assignments: Sequence[str]) -> tuple[dict[str, list[Value]], list[ParameterSet]]:
     """Values by parameter, and all combinations of them, the last parameter varying fastest; then the default set if
-    it is not among them. A parameter with one value has it in every set, the default included. Raises InputError."""
+    it is not among them. A parameter with one value beside others of several has it in every set, the default included;
+    where none has several, the one set asked for is compared with the preset's own. Raises InputError."""
     texts = {name: _values(name, str(text)) for name, text in from_assignments(assignments).items()}
     if not texts:
         raise InputError("--set is missing: name a parameter and its values, as in --set association.threshold=0.3,0.4")
-    fixed = [f"{name}={values[0]}" for name, values in texts.items() if len(values) == 1]
-    varied = {name: values for name, values in texts.items() if len(values) > 1}
+    varied = {name: values for name, values in texts.items() if len(values) > 1} or texts
+    fixed = [f"{name}={values[0]}" for name, values in texts.items() if name not in varied]
     number = 1
     for values in varied.values():
         number *= len(values)

@@ -10,6 +10,8 @@ from typing import Any
 Row = Mapping[str, Any]
 MEASURES = ("ap", "f50", "instances", "seconds")
 """For which main effects are told; the first ranks the sets."""
+TIE = 0.001
+"""Sets whose first measure is less than this behind the best are as good."""
 SCORES = (
     *("ap", "ap50", "ap25", "f50", "miou", "spill", "missed_share", "wrong_share"),
     *("predicted", "true", "split", "merged", "missed"),
@@ -49,7 +51,7 @@ def effects(varied: Mapping[str, Sequence[Any]], sets: Sequence[Row]) -> list[di
     of two values would be of different sets."""
     rows = []
     for measure in MEASURES:
-        of_measure = [_effect(name, values, measure, sets) for name, values in varied.items()]
+        of_measure = [_effect(name, values, measure, sets) for name, values in varied.items() if len(values) > 1]
         rows += sorted((row for row in of_measure if row["range"] is not None), key=lambda row: -row["range"])
     return rows
 
@@ -76,11 +78,13 @@ def best(sets: Sequence[Row]) -> dict[str, Any] | None:
         return None
     top = min(scored, key=lambda one: (-one["scores"][measure], not one["default"], one["set"]))
     default = next((measured(one, measure) for one in sets if one["default"]), None)
+    least = top["scores"][measure] - TIE
     return {
         "set": top["set"],
         "parameters": top["parameters"],
         "score": top["scores"][measure],
         "default_score": default,
+        "ties": [one["set"] for one in scored if one is not top and one["scores"][measure] > least],
     }
 
 

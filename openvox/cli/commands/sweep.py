@@ -101,6 +101,8 @@ def print_result(data: tables.Data) -> None:
         ],
         "means over the recordings" + (f"; the best {LISTED} of {len(ranked)}" if len(ranked) > LISTED else ""),
     )
+    if data["best"] and data["best"]["ties"]:
+        print(f"as good as set {data['best']['set']} (less than 0.001 behind): {_sets(data['best']['ties'])}")
     for effect in data["effects"]:
         if effect["measure"] in ("ap", "instances"):
             means = ", ".join(f"{m['value']}: {tables.cell(m['mean'])}" for m in effect["means"])
@@ -108,9 +110,15 @@ def print_result(data: tables.Data) -> None:
     for item in data["items"]:
         if item["error"]:
             print(f"item {item['item']} ({item['recording']}, set {item['set']}) failed: {tables.cell(item['error'])}")
+    tables.notes(data)
     for path in data["outputs"].values():
         if path:
             print(f"wrote {path}")
+
+
+def _sets(numbers: list[int]) -> str:
+    more = len(numbers) - LISTED
+    return f"set {', '.join(map(str, numbers[:LISTED]))}" + (f" and {more} more" if more > 0 else "")
 
 
 def _first(data: tables.Data, number: int) -> str:

@@ -34,6 +34,26 @@ def bars(title: str, rows: Sequence[tuple[str, float]], note: str = "", *, digit
     return _figure(title, note, marks, f"{title}: {said}", max(len(rows), 1) * BAR + 4)
 
 
+def dots(title: str, rows: Sequence[tuple[str, float]], note: str = "", *, digits: int = 0) -> Html:
+    """A dot a row over an axis from the least to the largest number, so that small differences are seen."""
+    numbers = [value for _, value in rows]
+    low, reach = min(numbers, default=0), max(numbers, default=0) - min(numbers, default=0)
+    left = min(150, 14 + 6.6 * max((len(name) for name, _ in rows), default=0))
+    room = WIDTH - left - 66
+    marks: list[Html] = []
+    for i, (name, value) in enumerate(rows):
+        y = i * BAR + BAR / 2
+        x = left + (room * (value - low) / reach if reach else room / 2)
+        marks += [
+            _text(left - 10, y + 4, _short(name, 22), "end"),
+            tag("line", x1=_f(left), x2=_f(left + room), y1=_f(y), y2=_f(y), class_="grid"),
+            tag("circle", tag("title", f"{name}: {_number(value, digits)}"), cx=_f(x), cy=_f(y), r=5),
+            _text(x + 9, y + 4, _number(value, digits), "start"),
+        ]
+    said = ", ".join(f"{name} {_number(value, digits)}" for name, value in rows)
+    return _figure(title, note, marks, f"{title}: {said}", max(len(rows), 1) * BAR + 4)
+
+
 def histogram(title: str, values: Sequence[float], low: float, high: float, note: str = "", bins: int = 30) -> Html:
     """How many values lie in each part of low .. high, those beyond it in the outer parts; a line marks 0 if inside."""
     counts = [0] * bins
