@@ -75,8 +75,8 @@ def test_what_is_none_of_ours_is_one_sentence(tmp_path: Path) -> None:
     with McapWriter(tmp_path / "other.mcap") as writer:
         writer.add(Topic("/chatter", "json", "", "", b""), 0, 0, b"{}")
     for name, sentence in (
-        ("text", r"begins with 68656c6c6f20796f; expected a recording, perception or trace \(MCAP\), or a map"),
-        ("empty", r"begins with nothing"),
+        ("text", r"is a text file; expected a recording, perception or trace \(MCAP\), or a map"),
+        ("empty", r"is empty"),
         ("missing", r"cannot be read \(No such file"),
         (".", r"cannot be read \(Is a directory"),
         ("other.npz", r"is no map file"),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.apps.info import check_kind
 from openvox.apps.ranking import Encoder
 from openvox.apps.scoring.calibration import expected_calibration_error
 from openvox.apps.scoring.instances import ELSEWHERE, FAR, InstanceScore, Overlaps, score_instances
@@ -39,6 +40,7 @@ def evaluate(
     queries.json. classes: names, one a line, instead of the truth's categories. models: as in apps.query.
     Raises InputError.
     """
+    check_kind(map_file, "map")
     result = read_map(map_file)
     names = None if classes is None else read_classes(classes)
     known = read_truth(truth, queries) if truth.is_dir() else recording_truth(truth, queries)

@@ -12,6 +12,7 @@ from openvox.apps.explaining.mask import explain_mask
 from openvox.apps.explaining.run import read_run
 from openvox.apps.explaining.suspicious import suspicious
 from openvox.apps.explaining.voxel import explain_voxel
+from openvox.apps.info import check_kind
 from openvox.core.errors import InputError
 from openvox.core.fixedpoint import Q20
 from openvox.formats.trace import TraceFrame, read_trace, trace_info
@@ -31,6 +32,7 @@ def explain(
 ) -> dict[str, Any]:
     """What the trace tells about one thing: a mask of a frame, a frame, an instance, a voxel (`at`, metres); without
     any of them the `top` decisions most likely wrong. Raises InputError."""
+    check_kind(trace, "trace")
     if frame is not None and mask is None:
         return explain_frame(trace, frame)
     run = read_run(trace)

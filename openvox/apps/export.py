@@ -11,6 +11,7 @@ from openvox import __version__
 from openvox.apps.described import described
 from openvox.apps.exporting.points import points
 from openvox.apps.exporting.table import write_table
+from openvox.apps.info import check_kind
 from openvox.apps.origin import belonging, recording_of
 from openvox.core.errors import InputError
 from openvox.core.export_parameters import ExportParameters
@@ -56,6 +57,7 @@ def export(
     parameters = _parameters(what, assignments)
     if recording is not None and what not in ("masks", "mesh"):
         raise InputError(f"--recording {recording} has no effect here, because no pictures are needed; leave it out")
+    check_kind(map_file, "map")
     result = read_map(map_file)
     for written in (out, out.with_suffix(".pgm")) if what == "occupancy" else (out,):
         check_not_input(written, *belonging(map_file, result.meta), recording)

@@ -32,10 +32,7 @@ def kind_of(path: Path) -> str:
     if start.startswith(_ZIP):
         return "map"
     if start != MAGIC:
-        raise InputError(
-            f"{path} begins with {start.hex() or 'nothing'}; expected a recording, perception or trace (MCAP), or a "
-            "map (npz)"
-        )
+        raise InputError(f"{path} {_foreign(start)}; expected a recording, perception or trace (MCAP), or a map (npz)")
     topics = growing_topics(path) if is_unfinished(path) else read_topics(path)
     rooms = {topic.split("/")[1] if topic.startswith("/") else topic for topic in topics}
     # a recording may hold topics of others, too, so that it is asked for last
@@ -43,6 +40,33 @@ def kind_of(path: Path) -> str:
         if room in rooms:
             return kind
     raise InputError(f"{path} has topics under {', '.join(sorted(rooms)) or 'nothing'}; openvox writes no such file")
+
+
+def _foreign(start: bytes) -> str:
+    """What a file is whose first bytes are of no file of ours."""
+    if not start:
+        return "is empty"
+    if start.lower().startswith((b"<!doct", b"<html")):
+        return "is a web page"
+    text = all(32 <= byte < 127 or byte in b"\t\r\n" for byte in start)
+    return "is a text file" if text else f"begins with {start.hex()}"
+
+
+def check_kind(path: Path, wanted: str) -> None:
+    """Raises InputError where a file is whole, but of another kind; what is broken is left to its reader.
+
+    wanted: map or trace."""
+    try:
+        found = kind_of(path)
+    except InputError:
+        return
+    if found == wanted:
+        return
+    endings = {"map": ".map.npz", "trace": ".trace.mcap"}
+    stem = next((path.name.removesuffix(end) for end in endings.values() if path.name.endswith(end)), None)
+    beside = path.with_name(f"{stem}{endings[wanted]}") if stem else None
+    hint = f"; its {wanted} is {beside}" if beside is not None and beside.is_file() else f"; expected a {wanted}"
+    raise InputError(f"{path} is a {found}{hint}")
 
 
 def parameters() -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.described import described
+from openvox.apps.info import check_kind
 from openvox.apps.living.questions import ask
 from openvox.apps.ranking import likeness, ranked
 from openvox.apps.words import encoder_of
@@ -27,6 +28,7 @@ def query(map_file: Path, texts: Sequence[str], *, top: int = 3, models: Path | 
     Raises InputError.
     """
     _check(texts, top)
+    check_kind(map_file, "map")
     return {"queries": answers(read_map(map_file), str(map_file), texts, top, models)}
 
 

@@ -33,10 +33,14 @@ def explain(
     One of --frame, --instance, --at and --suspicious. A mask: every candidate and what its score consisted of, the rule
     that decided, margins, the largest contributions, evidence for and against. Coordinates are metres in the world.
     """
-    if sum((frame is not None, instance is not None, at is not None, suspicious)) != 1:
-        raise typer.BadParameter("expected one of --frame, --instance, --at and --suspicious")
     if mask is not None and frame is None:
         raise typer.BadParameter("--mask goes with --frame")
+    asked = {"--frame": frame is not None, "--instance": instance is not None, "--at": at is not None}
+    given = [name for name, is_given in {**asked, "--suspicious": suspicious}.items() if is_given]
+    if not given:
+        raise typer.BadParameter("expected one of --frame, --instance, --at and --suspicious")
+    if len(given) > 1:
+        raise typer.BadParameter(f"{' and '.join(given)} are given; give only one of them")
     if top is not None and not suspicious:
         raise typer.BadParameter("--top goes with --suspicious")
     point = None if at is None else options.point(at)
