@@ -345,7 +345,9 @@ def test_the_choices_of_an_option_are_those_there_are() -> None:
     assert get_args(get_type_hints(ingest.ingest)["layout"]) == ("auto", *FORMATS)
 
 
-def test_an_interrupt_inside_a_kernel_is_an_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_inside_a_kernel_is_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     from openvox.cli import INTERRUPTED, main
 
     def interrupted(*arguments: object, **options: object) -> None:
@@ -356,5 +358,21 @@ def test_an_interrupt_inside_a_kernel_is_an_interrupt(monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(commands, "app", interrupted)
     with pytest.raises(SystemExit) as end:
-        main(["info", "x"])
+        main(["replay", "x"])
     assert end.value.code == INTERRUPTED
+    assert capsys.readouterr().err == "openvox: interrupted; nothing was written\n"
+    with pytest.raises(SystemExit):
+        main(["sweep", "x"])
+    assert capsys.readouterr().err == "openvox: interrupted; what is done is kept; run again to go on\n"
+
+
+def test_a_reader_that_goes_in_the_middle_of_much_output_is_no_error() -> None:
+    program = "import typer, openvox.cli.commands as commands; from openvox.cli import main\n"
+    program += "commands.app = typer.Typer(); commands.app.command()(lambda: print('x' * 10**7)); main([])"
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.read(10)
+    process.stdout.close()
+    assert (process.wait(60), process.stderr.read()) == (0, b"")
+    process.stderr.close()

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 import typer
 from maps import small_map
+from worlds import tiny_frames
 
 from openvox.apps.shot import shot
 from openvox.apps.view import as_rrd
 from openvox.cli.commands.shot import parsed_size
 from openvox.core.errors import InputError, OutputError
 from openvox.formats.map_npz import write_map
+from openvox.formats.recording import RecordingWriter
 from openvox.view.screenshot import is_blank, vulkan_devices
 
 needs_vulkan = pytest.mark.skipif(vulkan_devices() == 0, reason="no Vulkan device: install mesa-vulkan-drivers")
@@ -47,8 +49,6 @@ def test_a_wrong_view_or_frame_is_one_sentence_and_no_picture(map_file: Path, tm
         InputError, match=r"a.rrd has no view 'nowhere'; its views: Instances; Map with .*; Map, coloured by"
     ):
         shot(rrd, tmp_path / "a.png", view="nowhere")
-    with pytest.raises(InputError, match="that view lies behind another tab"):
-        shot(rrd, tmp_path / "a.png", view="confidence")
     with pytest.raises(InputError, match=r"a.rrd has no frames, as a map has none"):
         shot(rrd, tmp_path / "a.png", frame=3)
     assert not list(tmp_path.glob("a.png*"))
@@ -90,3 +90,37 @@ def test_a_size_is_two_numbers_that_a_window_can_have() -> None:
     for text in ("1600", "axb", "0x0", "1600x900x3", "-5x900", "99999x900"):
         with pytest.raises(typer.BadParameter, match=r"expected WxH"):
             parsed_size(text)
+
+
+@needs_vulkan
+def test_a_view_behind_a_tab_is_drawn_alone_and_fills_the_picture(map_file: Path, tmp_path: Path) -> None:
+    shown = [
+        shot(map_file, tmp_path / f"{name}.png", view=name, size=(640, 400)) for name in ("by instance", "by confid")
+    ]
+    assert [one["size"] for one in shown] == [[640, 400]] * 2
+    first, second = (cv2.imread(str(tmp_path / f"{name}.png")) for name in ("by instance", "by confid"))
+    assert first is not None
+    assert second is not None
+    assert (first != second).any(-1).mean() > 0.01  # the same voxels in other colours
+
+
+def test_what_cannot_be_shown_is_said_of_the_file_given_before_anything_is_drawn(
+    map_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("openvox.apps.shot.as_rrd", None)
+    with pytest.raises(InputError, match=r"^a.map.npz has no view 'nowhere'; its views: Instances; Map with .*"):
+        shot(map_file, tmp_path / "a.png", view="nowhere")
+    with pytest.raises(InputError, match=r"^a.map.npz has several views 'colour'"):
+        shot(map_file, tmp_path / "a.png", view="colour")
+    with pytest.raises(InputError, match=r"^a.map.npz has no frames"):
+        shot(map_file, tmp_path / "a.png", frame=3)
+    with pytest.raises(OutputError, match=r"a.png could not be written"):
+        shot(map_file, tmp_path / "nowhere" / "a.png")
+    with pytest.raises(OutputError, match=r"a.jpg would be a PNG under another name; let it end with .png"):
+        shot(map_file, tmp_path / "a.jpg")
+    with RecordingWriter(tmp_path / "a.mcap", source="test") as writer:
+        for frame in tiny_frames(2):
+            writer.add(frame)
+    with pytest.raises(InputError, match=r"^a.mcap has frames 0 to 1; frame 2 is none of them"):
+        shot(tmp_path / "a.mcap", tmp_path / "a.png", frame=2)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,7 @@ from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
 from openvox.apps.retrace import Pictures, steps_of
 from openvox.apps.view import as_rrd, kind, view
-from openvox.core.errors import InputError
+from openvox.core.errors import InputError, OutputError
 from openvox.core.mapper_parameters import preset
 from openvox.core.types import InstanceMap, Step
 from openvox.formats.map_npz import write_map
@@ -187,6 +188,8 @@ def test_save_never_overwrites_its_input_and_takes_one_file(folder: Path) -> Non
     with pytest.raises(InputError, match=r"--save writes one file, 2 were given"):
         view([folder / "tiny.mcap", folder / "tiny.map.npz"], save=folder / "a.rrd")
     before = (folder / "tiny.rrd").read_bytes()
+    with pytest.raises(OutputError, match=r"a.png would be a file for Rerun under another name"):
+        view([folder / "tiny.map.npz"], save=folder / "a.png")
     with pytest.raises(InputError, match=r"is an .rrd already"):
         view([folder / "tiny.rrd"], save=folder / "a.rrd")
     assert (folder / "tiny.rrd").read_bytes() == before
@@ -200,10 +203,19 @@ def test_a_port_that_is_taken_is_one_sentence() -> None:
 
 
 @pytest.fixture
-def served(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def temporary(tmp_path: Path) -> Path:
+    """Where `served` puts what is temporary."""
+    path = tmp_path / "temporary"
+    path.mkdir()
+    return path
+
+
+@pytest.fixture
+def served(folder: Path, temporary: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`openvox view --web` as a process of its own, and the URL that it printed."""
-    command = [sys.executable, "-m", "openvox", "view", str(folder / "tiny.rrd"), "--web"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
+    command = [sys.executable, "-m", "openvox", "view", str(folder / "tiny.map.npz"), "--web"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(temporary)}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout is not None
     try:
         yield process, process.stdout.readline().strip()
@@ -214,8 +226,9 @@ def served(folder: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the kernel does not list its sockets here")
-def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_ctrl_c(
-    served: tuple[subprocess.Popen[str], str],
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_the_web_viewer_listens_on_this_machine_only_and_ends_when_told(
+    served: tuple[subprocess.Popen[str], str], temporary: Path, end: signal.Signals
 ) -> None:
     process, url = served
     assert url.startswith("http://127.0.0.1:")
@@ -225,9 +238,30 @@ def test_the_web_viewer_listens_on_this_machine_only_and_ends_with_ctrl_c(
     listening = [address for pid in ours for address in listeners(pid)]
     assert len(listening) == 2
     assert set(listening) == {"0100007F"}
-    process.send_signal(signal.SIGINT)
+    process.send_signal(end)
     assert process.wait(20) == 0
     assert not any(Path(f"/proc/{pid}").exists() for pid in ours)
+    assert not list(temporary.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no other system can be told so")
+def test_the_viewer_dies_with_an_openvox_that_is_killed(served: tuple[subprocess.Popen[str], str]) -> None:
+    process, _ = served
+    (server,) = family(process.pid)[1:]
+    process.kill()
+    process.wait()
+    patience = time.monotonic() + 20
+    while running(server) and time.monotonic() < patience:
+        time.sleep(0.1)
+    assert not running(server)
+
+
+def running(pid: int) -> bool:
+    """Whether a process is there, and no zombie that nobody has asked after."""
+    try:
+        return ") Z " not in Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
 
 
 def family(pid: int) -> list[int]:

@@ -10,7 +10,7 @@ from openvox.apps.origin import belonging, named_digest, recording_of
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.core.types import InstanceMap
-from openvox.formats.atomic import check_not_input, partial_file
+from openvox.formats.atomic import check_not_input, check_writable, partial_file
 from openvox.formats.map_npz import SUFFIX, read_map
 from openvox.formats.recording import recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
@@ -52,6 +52,7 @@ def report(
         raise OutputError(f"{out} would be overwritten with a web page; let the last argument end with .html")
     if classes is not None and (first.is_dir() or (second is not None and kind_of(second) == "map")):
         raise InputError(f"--classes {classes} has no effect here, because only the page of one map has categories")
+    check_writable(out)
     if first.is_dir():
         return _written(out, "sweep", _sweep(first, second, recording))
     kind = kind_of(first)

@@ -13,9 +13,9 @@ from openvox.apps.info import kind_of
 from openvox.apps.origin import belonging
 from openvox.apps.retrace import Pictures, steps_of
 from openvox.core.digest import frame_digest
-from openvox.core.errors import InputError
+from openvox.core.errors import InputError, OutputError
 from openvox.core.types import Frame, InstanceMap, Mask
-from openvox.formats.atomic import check_not_input
+from openvox.formats.atomic import check_not_input, check_writable
 from openvox.formats.growing import final_name, finished_or_not
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
@@ -28,6 +28,7 @@ from openvox.formats.trace import TraceInfo, trace_info
 RRD = b"RRF2"
 """How a file of Rerun begins."""
 Notice = Callable[[str], None]
+Progress = Callable[[int, int], None]
 
 
 def view(
@@ -41,6 +42,7 @@ def view(
     port: int = 0,
     notice: Notice = lambda text: None,
     ready: Callable[[str], None] = lambda url: None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Show files until the window is closed or Ctrl-C; `save`: write the one file as .rrd instead.
 
@@ -56,8 +58,11 @@ def view(
     if save is not None:
         if len(files) != 1:
             raise InputError(f"--save writes one file, {len(files)} were given; save them one by one")
+        if save.suffix.lower() != ".rrd":
+            raise OutputError(f"{save} would be a file for Rerun under another name; let it end with .rrd")
+        check_writable(save)
         replaced = save.exists()
-        as_rrd(files[0], save, recording, notice, classes)
+        as_rrd(files[0], save, recording, notice, classes, progress)
         return {**about, "output": str(save), "replaced": replaced}
     if not web and not has_screen():
         open_window([])  # says so, before anything is drawn
@@ -65,7 +70,7 @@ def view(
         shown = [
             path
             if one == "rrd"
-            else as_rrd(path, Path(folder) / f"{number} {path.name}.rrd", recording, notice, classes)
+            else as_rrd(path, Path(folder) / f"{number} {path.name}.rrd", recording, notice, classes, progress)
             for number, (path, one) in enumerate(zip(files, kinds, strict=True), start=1)
         ]
         if web:
@@ -97,15 +102,16 @@ def as_rrd(
     recording: Path | None = None,
     notice: Notice = lambda text: None,
     classes: Path | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Write what a file holds as an .rrd; returns it. recording: where a trace or perception does not find its own.
 
     classes: a file of names for the categories of a map, which otherwise come from its captions.
-    notice: told what is missing from the picture. Raises InputError, OutputError."""
+    notice: told what is missing from the picture. progress: of a trace's frames. Raises InputError, OutputError."""
     check_not_input(out, *belonging(path), recording)
     found = kind(path)
     if found == "trace":
-        _draw_trace(path, out, recording, notice)
+        _draw_trace(path, out, recording, notice, progress)
     elif found == "map":
         from openvox.apps.categories import categories_of
         from openvox.view.map_scene import draw_map_file
@@ -149,7 +155,7 @@ def _seen(
             yield frame, waiting.masks
 
 
-def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice) -> None:
+def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice, progress: Progress | None) -> None:
     """The run as `replay --rerun` would have shown it, without mapping again."""
     from openvox.view.rerun_observer import RerunObserver
 
@@ -163,8 +169,10 @@ def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice) -
         images="jpeg" if pictures.perception is not None else "none",
         camera=pictures.recording is not None,
     ) as observer:
-        for step in steps_of(path, pictures):
+        for done, step in enumerate(steps_of(path, pictures), start=1):
             observer.on_step(step)
+            if progress:
+                progress(done, info.frames)
         # what finishing dropped stands among the events of the last frame already
         observer.close(replace(result, events=()))
 

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
 from openvox.core.errors import OpenvoxError
 
 INTERRUPTED = 130
+LEFT = {
+    **dict.fromkeys(("perceive", "sweep"), "; what is done is kept; run again to go on"),
+    **dict.fromkeys(("replay", "report", "shot", "view"), "; nothing was written"),
+}
+"""What an interrupt leaves; of other commands it depends."""
 
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -19,14 +26,22 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """
     from openvox.cli.commands import app
 
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: children and temporary files go
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         app([word for word in words if word != "--debug"], prog_name="openvox")
     except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _say_interrupted(words)
+        if isinstance(end.__context__, BrokenPipeError):  # as _flush, met while printing
+            _drop_stdout()
+            sys.exit(0)
         _flush()
         sys.exit(end.code)
     except Exception as error:
         if _is_interrupt(error):
+            _say_interrupted(words)
             sys.exit(INTERRUPTED)
         if "--debug" in words:
             raise
@@ -49,7 +64,16 @@ def _flush() -> None:
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_stdout()
+
+
+def _drop_stdout() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _say_interrupted(words: Sequence[str]) -> None:
+    command = next((word for word in words if not word.startswith("-")), "")
+    print(f"openvox: interrupted{LEFT.get(command, '')}", file=sys.stderr)
 
 
 def _sentence(error: Exception) -> str:

@@ -53,6 +53,20 @@ def check_not_input(out: Path, *inputs: Path | None) -> None:
         raise OutputError(f"{out} would be overwritten by what is made from it; choose another name")
 
 
+def check_writable(path: Path) -> None:
+    """Before long work for it: raises OutputError where no file of this name could be made. Nothing is left."""
+    try:
+        with partial_file(path) as partial:
+            partial.touch()
+            raise _PossibleError
+    except _PossibleError:
+        return
+
+
+class _PossibleError(Exception):
+    """Thrown through a file that could be made so that it goes away."""
+
+
 def _remove(partial: Path) -> None:
     """Away with an unfinished file, if it can be done; the reason that brought us here matters more."""
     try:

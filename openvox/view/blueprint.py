@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -50,6 +51,19 @@ def blueprint(eye: Eye | None = None, *, pictures: bool = True) -> rrb.Blueprint
     )
 
 
+def view_names(layout: rrb.Blueprint) -> list[str]:
+    """Names of all views of a layout, those behind tabs, too."""
+    names: list[str] = []
+    waiting: list[Any] = [layout.root_container]
+    while waiting:
+        part = waiting.pop()
+        if isinstance(part, rrb.View):
+            names.append(str(part.name))
+        else:
+            waiting.extend(part.contents)
+    return sorted(names)
+
+
 def _maps(eye: Eye | None) -> rrb.Tabs:
     return rrb.Tabs(
         _spatial("Instances", [entities.INSTANCES, entities.CAPTIONS, entities.TOUCHED, entities.DETECTED], eye),
@@ -89,8 +103,8 @@ def _numbers() -> rrb.Vertical:
             rrb.TextLogView(origin=entities.EVENTS, name="Events", columns=_when_and_what()),
             rrb.StateTimelineView(origin=entities.LIVES, name="Lives", defaults=[configuration]),
             rrb.TimeSeriesView(origin=entities.MARGINS, name="Margins"),
-            rrb.TimeSeriesView(origin=entities.INSTANCE_COUNT, name="Instances"),
-            rrb.TimeSeriesView(origin=entities.VOXEL_COUNT, name="Voxels"),
+            rrb.TimeSeriesView(origin=entities.INSTANCE_COUNT, name="Number of instances"),
+            rrb.TimeSeriesView(origin=entities.VOXEL_COUNT, name="Number of voxels"),
             rrb.TimeSeriesView(origin=entities.MILLISECONDS, name="Milliseconds"),
         ),
         row_shares=[3, 2],
@@ -103,11 +117,16 @@ def _spatial(name: str, shown: Sequence[str], eye: Eye | None) -> rrb.Spatial3DV
         contents=[f"+ {path}/**" for path in (entities.CAMERA, entities.TRAJECTORY, *shown)],
         name=name,
         overrides={entities.TRAJECTORY: _from_the_start(), entities.CAPTIONS: rrb.EntityBehavior(visible=False)},
-        eye_controls=None
-        if eye is None
-        else rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
-        ),
+        eye_controls=controls(eye),
+    )
+
+
+def controls(eye: Eye | None) -> rrb.EyeControls3D | None:
+    """An eye for Rerun; None: it chooses one."""
+    if eye is None:
+        return None
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
     )
 
 

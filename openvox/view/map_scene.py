@@ -14,7 +14,7 @@ from openvox.core.colors import category_colors, instance_color
 from openvox.core.types import InstanceMap
 from openvox.view import entities
 from openvox.view.answers import REST, Answered
-from openvox.view.blueprint import overview
+from openvox.view.blueprint import Eye, controls, overview
 from openvox.view.decision_table import escaped
 from openvox.view.labels import BACKGROUND, shortened
 from openvox.view.rrd_file import rrd_file
@@ -30,7 +30,7 @@ def draw_map_file(
     """Write an .rrd of a map, on no timeline. Raises OutputError.
 
     categories: one an instance. answered: questions, each a view of its own before the others."""
-    with rrd_file(path, APPLICATION, _layout(result, answered)) as stream:
+    with rrd_file(path, APPLICATION, map_layout(overview(result), answered)) as stream:
         edge = [result.voxel_size] * 3
         order = np.argsort(result.voxel_instance, kind="stable")
         colors = category_colors(categories)
@@ -90,14 +90,11 @@ def _table(result: InstanceMap, categories: Sequence[str]) -> str:
     return "\n".join(rows)
 
 
-def _layout(result: InstanceMap, answered: Sequence[Answered]) -> rrb.Blueprint:
-    eye = overview(result)
-    controls = rrb.EyeControls3D(
-        kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=(0.0, 0.0, 1.0)
-    )
+def map_layout(eye: Eye | None = None, answered: Sequence[Answered] = ()) -> rrb.Blueprint:
+    """The ways to colour the map, in tabs, after its answers | the list of instances. eye: where it is seen from."""
     views = [
         rrb.Spatial3DView(
-            origin=entities.WORLD, contents=[f"+ {path}/**" for path in shown], name=name, eye_controls=controls
+            origin=entities.WORLD, contents=[f"+ {path}/**" for path in shown], name=name, eye_controls=controls(eye)
         )
         for name, shown in (
             *(

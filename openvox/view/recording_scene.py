@@ -29,7 +29,7 @@ METRE = 1000.0
 
 def draw_recording(path: Path, frames: Iterable[tuple[Frame, Sequence[Mask] | None]]) -> None:
     """Write an .rrd of frames and the masks found in them (None: nobody looked). Raises OutputError."""
-    with rrd_file(path, APPLICATION, _layout()) as stream:
+    with rrd_file(path, APPLICATION, recording_layout()) as stream:
         last: Frame | None = None
         for frame, masks in frames:
             stream.set_time(entities.FRAME, sequence=frame.index)
@@ -80,7 +80,7 @@ def _pinhole(camera: Intrinsics, size: float) -> rr.Pinhole:
     )
 
 
-def _layout() -> rrb.Blueprint:
+def recording_layout() -> rrb.Blueprint:
     """3D | colour with masks above depth."""
     always = rrb.VisibleTimeRanges(
         [

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,14 @@ from openvox.formats.atomic import partial_file
 from openvox.view import entities
 from openvox.view.viewer import LOOPBACK, Process, free_port, running
 
+PANELS = {
+    "top_panel": "PanelBlueprint",
+    "blueprint_panel": "PanelBlueprint",
+    "selection_panel": "PanelBlueprint",
+    "time_panel": "TimePanelBlueprint",
+}
+FRAME = (7, 71)
+"""Pixels that the window has around a view that fills it."""
 SETTLED = 1e-4
 """Share of pixels that may differ between two pictures of which nothing moved."""
 QUIET_SECONDS = 6.0
@@ -35,19 +43,22 @@ class _ViewerDiedError(Exception):
     """The viewer ended, or never showed a picture."""
 
 
-def take_shot(rrd: Path, out: Path, *, frame: int | None, view: str | None, size: tuple[int, int]) -> dict[str, Any]:
+def take_shot(
+    rrd: Path, out: Path, *, name: str, frame: int | None, view: str | None, size: tuple[int, int]
+) -> dict[str, Any]:
     """Write a PNG of the whole layout, or of the view of that name, at a frame (None: the last one).
 
-    size: of the window, (width, height). Returns what was shown: frame, view, size of the picture. Raises InputError:
-    the machine cannot, or the file has no such frame or view; OutputError."""
+    name: of the file that the user gave, for errors. size: of the picture, (width, height). Returns what was shown:
+    frame, view, size of the picture. Raises InputError: the machine cannot, or the file has no such frame or view;
+    OutputError."""
     check_machine()
     for left in reversed(range(TRIES)):
         try:
-            return _try_shot(rrd, out, frame, view, size)
+            return _try_shot(rrd, out, name, frame, view, size)
         except _ViewerDiedError as error:
             if not left:
                 raise InputError(
-                    f"{rrd.name}: the Rerun viewer showed no picture in {TRIES} tries ({error}); install {PACKAGES}, "
+                    f"{name}: the Rerun viewer showed no picture in {TRIES} tries ({error}); install {PACKAGES}, "
                     "or try again when the machine is less busy"
                 ) from None
     raise AssertionError("unreachable")
@@ -77,11 +88,17 @@ def vulkan_devices() -> int:
     return 0 if found else count.value
 
 
-def _try_shot(rrd: Path, out: Path, frame: int | None, view: str | None, size: tuple[int, int]) -> dict[str, Any]:
+def _try_shot(
+    rrd: Path, out: Path, name: str, frame: int | None, view: str | None, size: tuple[int, int]
+) -> dict[str, Any]:
+    if view is not None:
+        size = size[0] + FRAME[0], size[1] + FRAME[1]
     with _viewer(rrd, size) as (viewer, process, deadline):
-        state = _loaded(viewer, rrd, process, deadline)
-        shown = _go_to(viewer, rrd, state, frame)
-        view_id = _view_id(rrd, state, view)
+        state = _loaded(viewer, name, process, deadline)
+        view_id = None if view is None else _view_id(name, state, view)
+        if view_id is not None:
+            _show_alone(viewer, view_id)
+        shown = _go_to(viewer, name, state, frame)
         picture = _settled(viewer, process, view_id, deadline)
     with partial_file(out) as partial:
         partial.write_bytes(picture)
@@ -116,7 +133,7 @@ def _check(process: Process, deadline: float, error: object) -> None:
         raise _ViewerDiedError(f"nothing settled in {PATIENCE:.0f} s: {error}")
 
 
-def _loaded(viewer: Any, rrd: Path, process: Process, deadline: float) -> Any:
+def _loaded(viewer: Any, name: str, process: Process, deadline: float) -> Any:
     """The viewer's state when all of the file has arrived. Raises InputError: nothing arrives."""
     before, given_up = None, time.monotonic() + LOADING_SECONDS
     while True:
@@ -126,37 +143,56 @@ def _loaded(viewer: Any, rrd: Path, process: Process, deadline: float) -> Any:
                 return state
             before = state.recordings
             if not before and not state.loading and time.monotonic() > given_up:
-                raise InputError(f"{rrd} holds nothing that Rerun can show; is it whole? Make it again")
+                raise InputError(f"{name} holds nothing that Rerun can show; is it whole? Make it again")
         _check(process, deadline, "loading")
         time.sleep(0.3)
 
 
-def _go_to(viewer: Any, rrd: Path, state: Any, frame: int | None) -> int | None:
+def _go_to(viewer: Any, name: str, state: Any, frame: int | None) -> int | None:
     """Set the time; returns the frame, None for a file without frames. Raises InputError."""
     active = [found for found in state.recordings if found.store_id == state.active_recording]
     lines = [line for found in active for line in found.timelines if line.name == entities.FRAME]
     if not lines:
-        if frame is not None:
-            raise InputError(f"{rrd.name} has no frames, as a map has none; leave --frame out")
+        check_frame(name, frame, None)
         return None
     first, last = lines[0].start, lines[0].end
-    if frame is not None and not first <= frame <= last:
-        raise InputError(f"{rrd.name} has frames {first} to {last}; frame {frame} is none of them")
+    check_frame(name, frame, (first, last))
     chosen = last if frame is None else frame
     viewer.set_time(entities.FRAME, sequence=chosen, play_state="paused")
     return int(chosen)
 
 
-def _view_id(rrd: Path, state: Any, name: str | None) -> str | None:
+def check_frame(name: str, frame: int | None, known: tuple[int, int] | None) -> None:
+    """known: first and last frame of the file, None: it has none. Raises InputError."""
+    if frame is None:
+        return
+    if known is None:
+        raise InputError(f"{name} has no frames, as a map has none; leave --frame out")
+    if not known[0] <= frame <= known[1]:
+        raise InputError(f"{name} has frames {known[0]} to {known[1]}; frame {frame} is none of them")
+
+
+def chosen_view(name: str, view: str, known: Iterable[str]) -> str:
     """The view of that name, or the only one whose name holds it, in any case. Raises InputError."""
-    if name is None:
-        return None
-    names = {view.name: str(view.view_id) for view in state.views}
-    near = [found for found in names if name.casefold() in found.casefold()]
-    if name in names or len(near) == 1:
-        return names[name if name in names else near[0]]
-    known = "; ".join(sorted(names))
-    raise InputError(f"{rrd.name} has {'several views' if near else 'no view'} {name!r}; its views: {known}")
+    views = sorted(known)
+    near = [found for found in views if view.casefold() in found.casefold()]
+    if view in views or len(near) == 1:
+        return view if view in views else near[0]
+    raise InputError(f"{name} has {'several views' if near else 'no view'} {view!r}; its views: {'; '.join(views)}")
+
+
+def _view_id(name: str, state: Any, view: str) -> str:
+    ids = {found.name: str(found.view_id) for found in state.views}
+    return ids[chosen_view(name, view, ids)]
+
+
+def _show_alone(viewer: Any, view_id: str) -> None:
+    """Maximize a view: Rerun draws none behind another tab. Its panels go, so that it has the window."""
+    layout = viewer.get_blueprint().blueprint
+    layout["/viewport"]["ViewportBlueprint"]["maximized"] = view_id
+    for panel, kind in PANELS.items():
+        layout.setdefault(f"/{panel}", {}).setdefault(kind, {})["state"] = "Hidden"
+    viewer.set_blueprint(layout, of="recording")
 
 
 def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float) -> bytes:

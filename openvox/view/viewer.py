@@ -3,7 +3,9 @@ the loopback unless told otherwise; Rerun's own default is every interface."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from openvox.core.errors import InputError
 LOOPBACK = "127.0.0.1"
 PATIENCE = 30.0
 """Seconds in which a server must answer."""
+PR_SET_PDEATHSIG = 1
 Process = subprocess.Popen[bytes]
 
 
@@ -36,7 +39,9 @@ def running(arguments: Sequence[str | Path]) -> Iterator[Process]:
     """The viewer while the block lasts; it is ended with the block, whatever happens."""
     quiet = {**os.environ, "RUST_LOG": "error"}
     command = [str(binary()), *map(str, arguments)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=quiet)
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=quiet, preexec_fn=_end_with_parent()
+    )
     try:
         yield process
     finally:
@@ -46,6 +51,14 @@ def running(arguments: Sequence[str | Path]) -> Iterator[Process]:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def _end_with_parent() -> Callable[[], object] | None:
+    """On Linux: have the kernel end the viewer when this process dies, however that comes."""
+    if sys.platform != "linux":
+        return None
+    prctl = ctypes.CDLL(None).prctl  # found here: between fork and exec nothing should be loaded
+    return lambda: prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def open_window(files: Sequence[Path]) -> None:

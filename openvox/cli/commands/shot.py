@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from openvox.cli import options, tables
+from openvox.cli.progress import progress
 
 EXAMPLES = (
     "openvox shot living.trace.mcap frame40.png --frame 40",
@@ -23,7 +24,7 @@ def shot(
     view: Annotated[
         str | None, typer.Option(metavar="NAME", help="One view of the layout; a wrong name lists them.")
     ] = None,
-    size: Annotated[str, typer.Option(metavar="WxH", help="Of the window, in pixels.")] = "1600x900",
+    size: Annotated[str, typer.Option(metavar="WxH", help="Of the picture, in pixels.")] = "1600x900",
     recording: Annotated[
         Path | None, typer.Option(metavar="REC.mcap", help="Of a trace, if it is not where the trace names it.")
     ] = None,
@@ -43,6 +44,7 @@ def shot(
         size=parsed_size(size),
         recording=recording,
         notice=lambda text: typer.echo(text, err=True),
+        progress=progress("drawing"),
     )
     tables.show(result, json, print_result)
 

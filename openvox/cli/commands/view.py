@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from openvox.cli import options, tables
+from openvox.cli.progress import progress
 
 EXAMPLES = (
     "openvox view living.trace.mcap",
@@ -49,6 +50,7 @@ def view(
         bind=bind,
         port=port,
         notice=lambda text: typer.echo(text, err=True),
+        progress=progress("drawing"),
         ready=lambda url: typer.echo(f"{url}\nCtrl-C ends it", err=json),
     )
     tables.show(result, json, print_result)
