@@ -320,6 +320,18 @@ def test_a_sweep_shows_its_best_set_every_set_and_what_failed(tmp_path: Path) ->
     assert HOSTILE not in text
 
 
+def test_sets_stand_by_rank_and_ties_are_told(tmp_path: Path) -> None:
+    made = json.loads((small_sweep(tmp_path / "s") / "sweep.json").read_text())
+    one, other = made["sets"]
+    ranked = [{**one, "scores": {"ap": 0.2}}, {**other, **one, "set": 7, "scores": {"ap": 0.2004}, "default": False}]
+    best = {**made["best"], "set": 7, "score": 0.2004, "ties": [0]}
+    report(small_sweep(tmp_path / "s", sets=ranked, best=best), None, tmp_path / "s.html")
+    text = (tmp_path / "s.html").read_text("utf-8")
+    assert "1 more, less than 0.001 behind, as good: set 0." in text
+    rows = re.findall(r'data-value="(\d)">\d(?: default)?</td>', text)
+    assert rows[:2] == ["7", "0"]
+
+
 def test_a_sweep_without_truth_has_no_best_set(tmp_path: Path) -> None:
     report(small_sweep(tmp_path / "s", best=None, measure=None, effects=[]), None, tmp_path / "s.html")
     assert "Without ground truth" in (tmp_path / "s.html").read_text("utf-8")

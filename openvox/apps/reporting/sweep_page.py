@@ -46,7 +46,7 @@ def sweep_page(title: str, sweep: Mapping[str, Any]) -> str:
             notes(sweep.get("notes", ())),
             _best(sweep),
             _effects(sweep["effects"], sweep["measure"]),
-            _sets(_by_rank(sets, sweep["measure"]), sweep["varied"]),
+            _sets(_by_rank(sets, sweep["measure"], sweep["best"]), sweep["varied"]),
             _items(items, sweep["varied"]),
             _failures(items),
             _inputs(sweep),
@@ -93,20 +93,30 @@ def _effects(effects: Sequence[Mapping[str, Any]], measure: str | None) -> list[
     for effect in shown:
         rows = [(number(mean["value"]), float(mean["mean"])) for mean in effect["means"] if mean["mean"] is not None]
         title = f"{effect['parameter']}: {effect['measure']}"
-        note = "mean at each value, on an axis that does not begin at zero" + (
-            f"; {float(effect['range']):.4g} from least to most" if effect["range"] else ": no difference"
+        note = (
+            f"mean at each value, from least to most ({float(effect['range']):.4g}), not from zero"
+            if effect["range"]
+            else "mean at each value: no difference"
         )
         plots.append(dots(title, rows, note, digits=4 if effect["measure"] == measure else 1))
     return [tag("h2", "Which parameter matters"), tag("div", plots, class_="plots") if plots else _nothing()]
 
 
 def _nothing() -> Html:
-    return tag("p", "Only one value of each was tried.", class_="note")
+    return tag("p", "Only one value of each was tried; the sets below tell it from the default.", class_="note")
 
 
-def _by_rank(sets: Sequence[Mapping[str, Any]], measure: str | None) -> list[Mapping[str, Any]]:
+def _by_rank(
+    sets: Sequence[Mapping[str, Any]], measure: str | None, best: Mapping[str, Any] | None
+) -> list[Mapping[str, Any]]:
     """The best first; those without a score last."""
-    return sorted(sets, key=lambda one: -((one["scores"] or {}).get(measure) or -1.0))
+    first = best and best["set"]
+
+    def place(one: Mapping[str, Any]) -> tuple[float, bool]:
+        score = (one["scores"] or {}).get(measure)
+        return (1.0 if score is None else -float(score), one["set"] != first)
+
+    return sorted(sets, key=place)
 
 
 def _sets(sets: Sequence[Mapping[str, Any]], varied: Mapping[str, Any]) -> Html:

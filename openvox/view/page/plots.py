@@ -48,7 +48,7 @@ def dots(title: str, rows: Sequence[tuple[str, float]], note: str = "", *, digit
             _text(left - 10, y + 4, _short(name, 22), "end"),
             tag("line", x1=_f(left), x2=_f(left + room), y1=_f(y), y2=_f(y), class_="grid"),
             tag("circle", tag("title", f"{name}: {_number(value, digits)}"), cx=_f(x), cy=_f(y), r=5),
-            _text(x + 9, y + 4, _number(value, digits), "start"),
+            _text(left + room + 10, y + 4, _number(value, digits), "start"),
         ]
     said = ", ".join(f"{name} {_number(value, digits)}" for name, value in rows)
     return _figure(title, note, marks, f"{title}: {said}", max(len(rows), 1) * BAR + 4)
