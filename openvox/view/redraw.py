@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from openvox.view.live_map import Change, LiveMap
 
-SHARE = 8
+SHARE = 6
 """At once if one in so many of its voxels came or went since it was drawn."""
 PATIENCE = 25
 """Steps after which any change is drawn."""

@@ -18,8 +18,6 @@ from openvox.view.redraw import Redraw
 from openvox.view.rerun_values import Log, values
 from openvox.view.votes import finished_entropies
 
-SURENESS_EVERY = 100
-"""Steps between two drawings of confidence and entropy, each of which costs as much as the map itself."""
 GRAIN = 8
 """Confidence and entropy are drawn in so many steps from 0 to 1, which a file can hold in little room."""
 MOST_BITS = 1.5
@@ -33,30 +31,23 @@ class Instances:
     def __init__(self, log: Log, voxel_size: float, live: LiveMap, captions: Captions) -> None:
         self._log, self._voxel_size, self._map, self._captions = log, voxel_size, live, captions
         self._redraw = Redraw()
-        self._steps = 0
-        self._unsure: set[int] = set()  # instances whose votes changed since confidence and entropy were drawn
         self._seen: set[int] = set()  # instances that were drawn at some time
         self._shown: set[str] = set()  # entities of instances that show something now
         self._named: dict[int, str] = {}  # caption of those that show something now
         self._bounds: dict[int, NDArray[np.float64]] = {}  # (2, 3), metres, of those, as drawn
-        self._rows: dict[int, Row] = {}
 
     def log(self, step: Step, change: Change, drawn: bool) -> None:
         """What one step changed. drawn: whether voxels are drawn at this step."""
         self._redraw.note(change)
-        self._unsure.update(change.moved, change.regrouped, change.touched)
-        self._steps += 1
         due = self._redraw.due(self._map) if drawn else []
         for instance in due:
             self._draw_live(instance)
         if due:
             self._log_captions()
         self._log_touched(step)
-        if self._steps % SURENESS_EVERY == 0:
-            self._log_sureness()
 
     def finish(self, result: InstanceMap) -> None:
-        """Everything as it ends."""
+        """Everything as it ends. Confidence, entropy and the table are for all frames: each costs as much as a map."""
         summaries = {summary.id: summary for summary in result.instances}
         entropy = finished_entropies(result)
         order = np.argsort(result.voxel_instance, kind="stable")
@@ -78,7 +69,14 @@ class Instances:
         for instance in self._redraw.waiting():
             self._draw_live(instance)
         self._log_captions()
-        self._log_sureness()
+        table = []
+        for instance in sorted(set(self._map.populated()) - {0}):
+            rows = self._map.rows(instance)
+            share, entropy = self._map.sureness(rows)
+            self._draw_sureness(instance, self._map.index_of(rows), share, entropy)
+            captions, observations = self._captions.votes(instance), self._captions.observations(instance)
+            table.append(Row(instance, captions, observations, histogram(share)))
+        self._log_table(table)
 
     def _draw_live(self, instance: int) -> None:
         self._draw_instance(instance, self._map.index_of(self._map.rows(instance)), self._captions.of(instance))
@@ -126,21 +124,9 @@ class Instances:
         )
         self._log(entities.TOUCHED, boxes)
 
-    def _log_sureness(self) -> None:
-        for instance in sorted(self._unsure - {0}):
-            rows = self._map.rows(instance)
-            share, entropy = self._map.sureness(rows)
-            self._draw_sureness(instance, self._map.index_of(rows), share, entropy)
-            captions, observations = self._captions.votes(instance), self._captions.observations(instance)
-            self._rows[instance] = Row(instance, captions, observations, histogram(share))
-        self._unsure.clear()
-        alive = set(self._map.populated())
-        self._rows = {instance: row for instance, row in sorted(self._rows.items()) if instance in alive}
-        self._log_table(list(self._rows.values()))
-
     def _log_table(self, rows: list[Row]) -> None:
         table = rr.TextDocument(instance_table.markdown(rows), media_type=rr.MediaType.MARKDOWN)
-        self._log(entities.INSTANCE_TABLE, table)
+        self._log(entities.INSTANCE_TABLE, table, static=True)
 
     def _draw_sureness(
         self, instance: int, index: NDArray[np.int32], share: NDArray[np.float32], entropy: NDArray[np.float32]
@@ -151,7 +137,9 @@ class Instances:
             (entities.entropy_path(instance), entropy, MOST_BITS, maps.Magma),
         ):
             grains = (np.rint(amount * GRAIN) / GRAIN).astype(np.float32)
-            self._draw(path, index, self._cubes(index, values=grains, value_range=(0.0, most), colormap=colormap))
+            if len(index):
+                cubes = self._cubes(index, values=grains, value_range=(0.0, most), colormap=colormap)
+                self._log(path, cubes, static=True)
 
     def _cubes(self, index: NDArray[np.int32], **look: Any) -> rr.VoxelGridMap:
         return rr.VoxelGridMap(index, voxel_size=[self._voxel_size] * 3, **look)

@@ -32,6 +32,8 @@ SETTLED = 1e-4
 QUIET_SECONDS = 6.0
 """So long after its first picture the messages of the viewer's start have left it."""
 PATIENCE = 90.0
+EMPTY_SECONDS = 12.0
+"""After which a view of one colour is taken for an empty one."""
 LOADING_SECONDS = 30.0
 """In which a file must show that it holds something."""
 TRIES = 2
@@ -100,6 +102,9 @@ def _try_shot(
             _show_alone(viewer, view_id)
         shown = _go_to(viewer, name, state, frame)
         picture = _settled(viewer, process, view_id, deadline)
+        if picture is None:
+            when = "" if shown is None else f" at frame {shown}"
+            raise InputError(f"{name}: there is nothing in view {view!r}{when}; choose another --frame or --view")
     with partial_file(out) as partial:
         partial.write_bytes(picture)
     height, width = _pixels(picture).shape[:2]
@@ -195,9 +200,9 @@ def _show_alone(viewer: Any, view_id: str) -> None:
     viewer.set_blueprint(layout, of="recording")
 
 
-def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float) -> bytes:
-    """A picture equal to the one before, and not of one colour."""
-    quiet, last = float("inf"), None
+def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float) -> bytes | None:
+    """A picture equal to the one before, and not of one colour; None: a view that stays empty."""
+    quiet, last, given_up = float("inf"), None, time.monotonic() + EMPTY_SECONDS
     while True:
         try:
             picture: bytes = viewer.take_screenshot(view_id=view_id)
@@ -213,6 +218,8 @@ def _settled(viewer: Any, process: Process, view_id: str | None, deadline: float
         same = last is not None and last.shape == pixels.shape and float((last != pixels).any(-1).mean()) < SETTLED
         if same and time.monotonic() > quiet and not is_blank(pixels) and not viewer.get_state().loading:
             return picture
+        if same and view_id is not None and is_blank(pixels) and time.monotonic() > given_up:
+            return None
         if last is None:
             quiet = time.monotonic() + (QUIET_SECONDS if view_id is None else 0.0)
         last = pixels
