@@ -127,9 +127,10 @@ def test_only_every_nth_frame_shows_pictures_and_voxels_and_none_of_another_fram
     for n in range(5):
         story.tell(new=owned([(n, 0, 0)], 1), instance_of={1: 1}, masks=(mask(0, "box"),), decisions=(decision(0, 1),))
     path = record(tmp_path / "run.rrd", story.steps, None, every=3)
-    shown = [(row["frame"], bool(row.get("is_recursive"))) for row in rows(path, "camera/detected")]
-    assert shown == [(1, True), (4, True)]
-    assert frames_of(path, "camera/detected/color") == [0, 3]
+    color = [(row["frame"], bool(row.get("blob"))) for row in rows(path, "camera/detected/color")]
+    assert color == [(0, True), (1, False), (3, True), (4, False)]
+    masks = [(row["frame"], row.get("is_recursive")) for row in rows(path, "camera/detected/masks")]
+    assert masks == [(0, None), (1, [False]), (3, None), (4, [False])]
     assert frames_of(path, "world/instances/0001") == [0, 3, 4]  # and what waited at the end
     assert frames_of(path, "decisions/data") == [0, 1, 2, 3, 4]
 

@@ -28,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: children and temporary files go
+    os.environ.setdefault("RUST_LOG", "error")  # what Rerun remarks besides is no sentence for users
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         app([word for word in words if word != "--debug"], prog_name="openvox")

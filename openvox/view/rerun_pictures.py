@@ -63,11 +63,11 @@ class Pictures:
         self._log_rendered(frame)
 
     def clear(self) -> None:
-        """No picture of an earlier frame stays."""
-        for path in (entities.DETECTED, entities.DEPTH, entities.REGIONS):
-            self._log(path, rr.Clear(recursive=True))
-        for path in (entities.RENDERED, entities.RENDERED_CONFIDENCE):
+        """No picture of an earlier frame stays: Clear alone leaves a coded one standing."""
+        self._log(entities.REGIONS, rr.Clear(recursive=True))
+        for path in (entities.MASKS, entities.DEPTH, entities.RENDERED, entities.RENDERED_CONFIDENCE):
             self._log(path, rr.Clear(recursive=False))
+        self._log(entities.COLOR, rr.EncodedImage.from_fields(clear_unset=True))
 
     def finish(self, result: InstanceMap, frame: Frame, captions: dict[int, str]) -> None:
         """The finished map from the last pose, and where every instance was seen best."""
