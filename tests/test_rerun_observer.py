@@ -504,6 +504,7 @@ def test_watching_does_not_change_the_map(tmp_path: Path) -> None:
         result = watched.finish()
         observer.close(result)
     assert map_digest(result) == map_digest(alone.finish())
+    assert 1 in result.instance_id
     assert {tuple(v) for v in result.voxel_index[result.voxel_instance == 1].tolist()} == set(
         voxels_of(rows(tmp_path / "run.rrd", instance_path(1))[-1])
     )
