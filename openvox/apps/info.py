@@ -39,6 +39,10 @@ def kind_of(path: Path) -> str:
     for room, kind in (("mapper", "trace"), ("perception", "perception"), ("camera", "recording")):
         if room in rooms:
             return kind
+    if not rooms and is_unfinished(path):
+        raise InputError(
+            f"{path} holds no whole message yet; if its writer is gone, openvox recover saves what there is"
+        )
     raise InputError(f"{path} has topics under {', '.join(sorted(rooms)) or 'nothing'}; openvox writes no such file")
 
 
