@@ -369,3 +369,9 @@ def test_captions_are_no_markdown_in_the_drawing(tmp_path: Path) -> None:
     a = written(tmp_path / "a.map.npz", row_of(1, 1, captions={1: hostile}))
     found = compare(a, written(tmp_path / "b.map.npz", row_of(0, 0)))
     assert markdown(found) == r"- vanished: 1 (!\[x\](http://a/b) \*cup\*, 2 voxels)"
+
+
+def test_maps_that_note_no_digests_are_compared_all_the_same(tmp_path: Path) -> None:
+    for name, noted in (("a.map.npz", None), ("b.map.npz", ["no", "object"])):
+        write_map(tmp_path / name, replace(row_of(1, 1, 2), meta={"digests": noted}))
+    assert compare(tmp_path / "a.map.npz", tmp_path / "b.map.npz")["same"]

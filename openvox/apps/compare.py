@@ -11,7 +11,7 @@ from openvox.apps.comparing import arrays
 from openvox.apps.comparing.decisions import FIELDS, OUTCOME, Difference, first_difference
 from openvox.apps.comparing.matching import Matching, differing_voxels, match_instances
 from openvox.apps.info import kind_of
-from openvox.apps.origin import belonging
+from openvox.apps.origin import belonging, named_digest
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap, InstanceSummary
@@ -42,8 +42,7 @@ class Side:
     def inputs(self) -> dict[str, Any]:
         """Digests of the recording and the perception that were mapped."""
         if self.map is not None:
-            digests = self.map.meta.get("digests", {})
-            return {name: digests.get(name) for name in ("recording", "perception")}
+            return {name: named_digest(self.map, name) for name in ("recording", "perception")}
         sources = self.about.get("sources", {})
         return {name: sources[name][1] if name in sources else None for name in ("recording", "perception")}
 
@@ -110,7 +109,7 @@ def _map_side(path: Path) -> Side:
     found = read_map(path)
     beside = path.with_name(path.name.removesuffix(MAP_SUFFIX) + TRACE_SUFFIX)
     trace = trace_info(beside) if beside.is_file() else None
-    if trace is None or trace.digest != found.meta.get("digests", {}).get("trace"):
+    if trace is None or trace.digest != named_digest(found, "trace"):
         return Side(path, None, found, None)
     return Side(path, beside, found, trace)
 
@@ -119,7 +118,7 @@ def _trace_side(path: Path) -> Side:
     trace = trace_info(path)
     beside = path.with_name(path.name.removesuffix(TRACE_SUFFIX) + MAP_SUFFIX)
     found = read_map(beside) if beside.is_file() else None
-    if found is None or found.meta.get("digests", {}).get("trace") != trace.digest:
+    if found is None or named_digest(found, "trace") != trace.digest:
         return Side(None, path, None, trace)
     return Side(beside, path, found, trace)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from openvox.apps.origin import named_digest
 from openvox.apps.retrace import decision_of
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
@@ -27,7 +28,7 @@ def pictures(map_file: Path, frame: int, folder: Path) -> dict[str, str]:
     recording, perception = (_named(map_file, result, name) for name in ("recording", "perception"))
     digests = {"recording": recording_info(recording).digest, "perception": perception_info(perception).digest}
     for name, digest in digests.items():
-        if digest != result.meta.get("digests", {}).get(name):
+        if digest != named_digest(result, name):
             raise InputError(f"{map_file} was made from another {name} than lies there now; replay it")
     seen = next(read_frames(recording, start=frame, end=frame + 1, truth=False), None)
     masks = next(read_masks(perception, start=frame, end=frame + 1), None)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.info import kind_of
-from openvox.apps.origin import belonging
+from openvox.apps.origin import belonging, named_digest
 from openvox.apps.retrace import Pictures, steps_of
 from openvox.core.digest import frame_digest
 from openvox.core.errors import InputError, OutputError
@@ -183,7 +183,7 @@ def _map_of(info: TraceInfo) -> InstanceMap:
     if not path.exists():
         raise InputError(f"{info.path}: its map {path} is not there; put it beside the trace, or replay again")
     result = read_map(path)
-    if result.meta.get("digests", {}).get("trace") != info.digest:
+    if named_digest(result, "trace") != info.digest:
         raise InputError(f"{path} is of another run than {info.path}; replay again")
     return result
 
