@@ -12,6 +12,14 @@ Assignments = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="K=V", help="A parameter, as association.threshold=0.3; may be repeated."),
 ]
+Params = Annotated[
+    Path | None,
+    typer.Option("--params", metavar="FILE.toml", help="Parameters, one table a group; --set goes over it."),
+]
+MaxMemory = Annotated[
+    int | None,
+    typer.Option("--max-memory", metavar="MB", min=1, help="Stop with a sentence before the process needs more."),
+]
 Start = Annotated[int | None, typer.Option("--start", min=0, metavar="N", help="First frame number.")]
 End = Annotated[int | None, typer.Option("--end", min=0, metavar="N", help="Frame number to stop before.")]
 Stride = Annotated[

@@ -28,10 +28,9 @@ from openvox.view.lives import Lives, dropped
 from openvox.view.rerun_instances import Instances
 from openvox.view.rerun_pictures import Images, Pictures
 from openvox.view.rerun_values import PATH_COLOR, pinhole, values
+from openvox.view.rrd_file import check_whole
 from openvox.view.viewpoint import world_from_color
 
-END_OF_FILE = b"RRF2FOOT"
-"""Near the end of every recording that was closed."""
 BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=1 << 22, flush_num_rows=100_000)
 """Each chunk of an entity costs 1 to 2 kB, and Rerun's default ends one after a fifth of a second."""
 LEVELS = {"new": rr.TextLogLevel.INFO, "confirmed": rr.TextLogLevel.INFO, "dropped": rr.TextLogLevel.ERROR}
@@ -128,7 +127,7 @@ class RerunObserver:
             self._recording.flush()
             self._recording.disconnect()
             if self._partial is not None:
-                _check_whole(self._partial)
+                check_whole(self._partial)
 
     def abort(self) -> None:
         """Give up: nothing is left behind. After `close` nothing happens."""
@@ -237,11 +236,3 @@ class RerunObserver:
 
 class _AbortedError(Exception):
     """Thrown through the open file so that it goes away."""
-
-
-def _check_whole(path: Path) -> None:
-    """Rerun writes in a thread of its own, and tells nobody when the disk is full."""
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - 64))
-        if END_OF_FILE not in file.read():
-            raise OSError("Rerun did not write it to its end; is the disk full?")

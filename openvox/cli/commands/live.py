@@ -41,17 +41,13 @@ def live(
         typer.Option(help="Look at every frame now; offline, too, where there is no perception of the recording."),
     ] = None,
     preset: Annotated[Literal["openvox", "official", "paper"], typer.Option(help="As replay's.")] = "openvox",
-    params: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
-    ] = None,
+    params: options.Params = None,
     assignments: options.Assignments = None,
     engine: options.Engine = "cpu",
     out: Annotated[
         str | None, typer.Option(metavar="STEM", help="Write STEM.mcap, STEM.map.npz, ... instead of STEM-live.")
     ] = None,
-    max_memory: Annotated[
-        int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
-    ] = None,
+    max_memory: options.MaxMemory = None,
     waiting: Annotated[
         int | None,
         typer.Option(

@@ -25,9 +25,7 @@ def replay(
         Literal["openvox", "official", "paper"],
         typer.Option(help="openvox: with the added rules; official: as the authors' code; paper: the plain method."),
     ] = "openvox",
-    params: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
-    ] = None,
+    params: options.Params = None,
     assignments: options.Assignments = None,
     engine: options.Engine = "cpu",
     out: Annotated[
@@ -41,9 +39,7 @@ def replay(
         int,
         typer.Option(min=1, metavar="N", help="Map all frames N times, each pass with the map before it as the prior."),
     ] = 1,
-    max_memory: Annotated[
-        int | None, typer.Option(metavar="MB", min=1, help="Stop with a sentence before the process needs more.")
-    ] = None,
+    max_memory: options.MaxMemory = None,
     rerun: Annotated[Path | None, typer.Option(metavar="FILE.rrd", help="Also write a file for Rerun.")] = None,
     images: Annotated[
         Literal["none", "jpeg", "all"],

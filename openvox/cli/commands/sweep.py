@@ -37,9 +37,7 @@ def sweep(
     preset: Annotated[
         Literal["openvox", "official", "paper"], typer.Option(help="The parameters that are not swept.")
     ] = "openvox",
-    params: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Parameters, one table a group; --set goes over it.")
-    ] = None,
+    params: options.Params = None,
     engine: options.Engine = "cpu",
     jobs: Annotated[int | None, typer.Option(min=1, metavar="N", help="Processes; as many as cores if absent.")] = None,
     dask: options.Dask = None,
