@@ -302,6 +302,7 @@ def test_replay_tells_speed_rules_digests_and_files(
     assert result["outputs"] == {
         "map": str(tmp_path / "again.map.npz"),
         "trace": str(tmp_path / "again.trace.mcap"),
+        "times": str(tmp_path / "again.times.json"),
         "rerun": None,
     }
     assert run("replay", recording, "--out", tmp_path / "again") == 0

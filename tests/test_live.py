@@ -374,8 +374,8 @@ def test_the_command_writes_beside_its_source_under_another_name(
         main([*words, "--json"])
     out, err = capsys.readouterr()
     result = json.loads(out)
-    names = ("recording", "perception", "map", "trace")
-    suffixes = (".mcap", ".perception.mcap", ".map.npz", ".trace.mcap")
+    names = ("recording", "perception", "map", "trace", "times")
+    suffixes = (".mcap", ".perception.mcap", ".map.npz", ".trace.mcap", ".times.json")
     for name, suffix in zip(names, suffixes, strict=True):
         assert result["outputs"][name] == str(tmp_path / f"tiny-live{suffix}")
     assert set(result["latency_ms"]) == {"mean", "median", "p95"}

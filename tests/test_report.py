@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,17 +18,21 @@ from maps import labelled_map, small_map
 from numpy.typing import NDArray
 from worlds import tiny_frames
 
+from openvox.apps.explaining.run import read_run as told_run
 from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
 from openvox.apps.report import report
-from openvox.apps.reporting.run import read_run
+from openvox.apps.reporting.first_look import first_look
+from openvox.apps.reporting.run import confirmed_before, counted
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.formats.map_npz import read_map, write_map
 from openvox.formats.recording import RecordingWriter
+from openvox.formats.times import Times, times_path, write_times
+from openvox.formats.trace import trace_info
 from openvox.view.page import cubes
 from openvox.view.page.document import Html, escaped, page, tag
-from openvox.view.page.plots import bars, dots, histogram, lines
+from openvox.view.page.plots import areas, bars, dots, histogram, lines
 
 HOSTILE = "</script><script>document.title = 'stolen'</script><img src=http://example.com/x onerror=alert(1)> \u202ecba"
 
@@ -115,7 +120,22 @@ def test_a_line_ends_at_the_right_at_its_last_value() -> None:
     assert "a ends at 4" in text
 
 
-@pytest.mark.parametrize("plot", [bars("t", []), dots("t", []), histogram("t", [], 0, 1), lines("t", [], [("a", [])])])
+def test_areas_stand_on_one_another() -> None:
+    text = areas("t", [0, 10], [("a", [4, 2]), ("b", [0, 2])])
+    assert re.findall(r'points="([^"]*)"', text) == ["44,10 330,83 330,156 44,156", "44,10 330,10 330,83 44,10"]
+
+
+def test_of_many_frames_the_slowest_of_each_few_is_drawn() -> None:
+    values = [1.0] * 2000
+    values[777] = 8.0
+    points = re.findall(r'points="([^"]*)"', areas("t", range(2000), [("a", values)]))[0].split()
+    assert len(points) == 2 * 250  # eight frames each
+    assert sum(point.endswith(",10") for point in points) == 1
+
+
+@pytest.mark.parametrize(
+    "plot", [bars("t", []), dots("t", []), histogram("t", [], 0, 1), lines("t", [], [("a", [])]), areas("t", [], [])]
+)
 def test_plots_of_nothing_are_empty(plot: str) -> None:
     assert "<svg" in plot
 
@@ -155,7 +175,7 @@ def test_an_empty_map_has_a_page(tmp_path: Path) -> None:
 
 
 def test_a_run_is_counted_frame_by_frame(made: Path) -> None:
-    run = read_run(made / "tiny.trace.mcap")
+    run = counted(told_run(made / "tiny.trace.mcap").frames)
     result = read_map(made / "tiny.map.npz")
     assert run.frames == [0, 1, 2, 3, 4, 5]
     assert run.voxels[-1] == len(result.voxel_index)
@@ -163,6 +183,18 @@ def test_a_run_is_counted_frame_by_frame(made: Path) -> None:
     assert run.rules["new"] == run.events["new"]
     assert run.instances[-1] >= len(result.instances)
     assert len(run.above_second) <= len(run.above_threshold) <= sum(run.masks)
+
+
+def test_a_resumed_run_does_not_grow_from_nothing(made: Path, tmp_path: Path) -> None:
+    sets = ["map.voxel_size=0.1", "masks.min_pixels=1", "finish.min_voxels=1"]
+    half = replay(made / "tiny.mcap", assignments=sets, end=4, out=str(tmp_path / "half"))
+    replay(made / "tiny.mcap", assignments=sets, resume=Path(half["outputs"]["map"]), out=str(tmp_path / "rest"))
+    told, result = told_run(tmp_path / "rest.trace.mcap").frames, read_map(tmp_path / "rest.map.npz")
+    whole = counted(told_run(Path(half["outputs"]["trace"])).frames)
+    run = counted(told, confirmed_before(told, result))
+    assert (run.frames[0], run.instances[0]) == (4, whole.instances[-1])
+    assert run.confirmed[0] == whole.confirmed[-1] > 0
+    assert confirmed_before(told_run(Path(half["outputs"]["trace"])).frames, result) == set()
 
 
 # --- the report ------------------------------------------------------------------------------------------------------
@@ -180,6 +212,42 @@ def test_a_report_shows_every_instance_with_a_picture_and_its_caption(made: Path
     for part in ("Decisions by rule", "Growth", "Parameters", *result.meta["digests"].values()):
         assert part in text
     assert all(summary.caption in text for summary in result.instances)
+
+
+def test_times_beside_the_trace_are_drawn_with_median_and_95_percent(made: Path, tmp_path: Path) -> None:
+    shutil.copytree(made, tmp_path / "run")
+    trace, page = tmp_path / "run" / "tiny.trace.mcap", tmp_path / "a.html"
+    stages = {"masks": [1.0] * 6, "evolve": [None, 2.0, 2.0, 2.0, 2.0, 7.0], "trace": [0.5] * 6}
+    write_times(times_path(trace), Times(trace_info(trace).digest, range(6), stages))
+    report(tmp_path / "run" / "tiny.map.npz", None, page)
+    rows = re.findall(r'<tr><th scope="row">([^<]*)</th>(.*?)</tr>', page.read_text("utf-8"))
+    figures = {name: re.findall(r">([\d.]+)</td>", cells) for name, cells in rows}
+    assert figures["masks"] == ["1.00", "1.00", "1.00", "0"]
+    assert figures["trace"] == ["0.50", "0.50", "0.50", "0"]
+
+
+@pytest.mark.parametrize("left", ["none", "broken", "of another run"])
+def test_without_its_times_the_page_says_how_to_get_them(made: Path, tmp_path: Path, left: str) -> None:
+    shutil.copytree(made, tmp_path / "run")
+    times = tmp_path / "run" / "tiny.times.json"
+    if left == "none":
+        times.unlink()
+    elif left == "broken":
+        times.write_text("{")
+    else:
+        write_times(times, Times("ab", [0], {"masks": [1.0]}))
+    report(tmp_path / "run" / "tiny.map.npz", None, tmp_path / "a.html")
+    assert "replay and live write them to tiny.times.json" in (tmp_path / "a.html").read_text("utf-8")
+
+
+def test_decisions_most_likely_wrong_are_listed_with_a_way_to_their_instance() -> None:
+    one = {"frame": 4, "mask": 2, "instance": 3, "score": 0.5, "reason": HOSTILE, "caption": "a cup"}
+    text = "".join(first_look({"rule": "score = a x b", "decisions": [one, {**one, "instance": 9}]}, {3}))
+    assert text.count("<tr>") == 3  # with the headings
+    assert re.findall(r'href="([^"]*)"', text) == ["#instance-3"]  # 9 has no row
+    assert "Score = a x b." in text
+    assert HOSTILE not in text
+    assert first_look({"rule": "", "decisions": []}, {3}) == []
 
 
 def test_the_same_files_give_the_same_bytes(made: Path, tmp_path: Path) -> None:
@@ -452,6 +520,17 @@ def test_a_click_on_a_thing_chooses_its_row_and_a_click_beside_it_none(shown: Br
     corner = shown.ask("(r => [r.x + 8, r.y + r.height - 8])(document.querySelector('canvas').getBoundingClientRect())")
     shown.drag(tuple(corner), tuple(corner))
     assert shown.ask(CHOSEN) is None
+
+
+def test_the_link_of_a_decision_chooses_the_row_of_its_instance(browser: Browser, made: Path, tmp_path: Path) -> None:
+    report(made / "tiny.map.npz", None, tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text("utf-8")
+    link = '<a href="#instance-1">1</a>'  # this run has no decision to suspect
+    (tmp_path / "a.html").write_text(text.replace("<h2>From four sides</h2>", link), "utf-8")
+    browser.open(tmp_path / "a.html")
+    browser.ask("document.querySelector('a').click()")
+    browser.settle()
+    assert browser.ask("document.querySelector('tr[aria-selected=true]').id") == "instance-1"
 
 
 def test_a_row_shows_its_thing_and_says_its_name(shown: Browser) -> None:

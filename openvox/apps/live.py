@@ -20,16 +20,9 @@ from openvox.apps.living.shared_map import SharedMap, Snapshots
 from openvox.apps.loop import Observer, run
 from openvox.apps.memory import MemoryLimit
 from openvox.apps.query import answers
-from openvox.apps.replay import (
-    STAGES,
-    Counting,
-    Stopwatch,
-    chosen_parameters,
-    relative,
-    summary,
-    warm_up,
-)
+from openvox.apps.replay import Counting, chosen_parameters, relative, warm_up
 from openvox.apps.resume import chain_state
+from openvox.apps.timing import LATENCY, MAPPING, STAGES, Ran, Stopwatch, summary
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.core.parameters import as_dict
@@ -40,6 +33,8 @@ from openvox.formats.map_npz import write_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
 from openvox.formats.perception import PerceptionWriter
 from openvox.formats.recording import RecordingWriter
+from openvox.formats.times import SUFFIX as TIMES_SUFFIX
+from openvox.formats.times import write_times
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
 from openvox.mapper.mapper import Mapper
@@ -56,20 +51,21 @@ class LiveFiles:
     perception: Path
     map: Path
     trace: Path
+    times: Path
     rerun: Path | None
 
     @classmethod
     def of(cls, stem: Path, rerun: Path | None) -> LiveFiles:
         """STEM.mcap and what lies beside it."""
-        recording, perception, found, trace = (
-            Path(f"{stem}{suffix}") for suffix in (".mcap", PERCEPTION_SUFFIX, MAP_SUFFIX, TRACE_SUFFIX)
+        recording, perception, found, trace, times = (
+            Path(f"{stem}{suffix}") for suffix in (".mcap", PERCEPTION_SUFFIX, MAP_SUFFIX, TRACE_SUFFIX, TIMES_SUFFIX)
         )
-        return cls(recording, perception, found, trace, rerun)
+        return cls(recording, perception, found, trace, times, rerun)
 
     @property
     def all(self) -> list[Path]:
         """Those that are written."""
-        return [self.recording, self.perception, self.map, self.trace, *([self.rerun] if self.rerun else [])]
+        return [path for path in vars(self).values() if path is not None]
 
     def check(self, inputs: Sequence[Path]) -> None:
         """Raises InputError where something would be lost: a source, or what a crash has left."""
@@ -152,7 +148,7 @@ def live(
     warm_up(parameters, engine, notice)
     begin = time.perf_counter()
     shared = SharedMap(Mapper(parameters, watch, engine), {**about, "encoder": stream.eyes.encoder})
-    gauge, counter = Gauge(status), Counting(None, 0)
+    gauge, counter, ran = Gauge(status), Counting(None, 0), Ran()
     limits: list[Observer] = [MemoryLimit(max_memory)] if max_memory else []
     with ExitStack() as stack:
         if spawn:
@@ -172,13 +168,15 @@ def live(
             files,
             about,
             shared,
-            [gauge, counter, *limits, *watchers],
+            [gauge, counter, ran, *limits, *watchers],
             gauge,
             watch,
             stop,
             waiting or stream.waiting,
         )
     seconds = time.perf_counter() - begin
+    stages = {stage: watch.times.get(stage, []) for stage in (*MAPPING, "trace")}
+    write_times(files.times, ran.times(made["digests"]["trace"], {**stages, LATENCY: gauge.latencies}))
     return {
         "frames": counter.frames,
         "looked": counter.looked,

@@ -10,6 +10,7 @@ from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.recording import recording_info
+from openvox.formats.times import SUFFIX as TIMES_SUFFIX
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 
 
@@ -43,12 +44,12 @@ def recording_of(path: Path, result: InstanceMap, given: Path | None) -> Path | 
 
 
 def belonging(path: Path, about: Mapping[str, Any] | None = None) -> Iterator[Path]:
-    """A map or trace, the other of the two beside it, and the recording and perception that it names.
+    """A map or trace, what lies beside it of the same run, and the recording and perception that it names.
 
     about: the map's meta, or the run that the trace notes. The files need not be there."""
     stem = path.name.removesuffix(MAP_SUFFIX).removesuffix(TRACE_SUFFIX)
     yield path
-    yield from (path.with_name(stem + suffix) for suffix in (MAP_SUFFIX, TRACE_SUFFIX))
+    yield from (path.with_name(stem + suffix) for suffix in (MAP_SUFFIX, TRACE_SUFFIX, TIMES_SUFFIX))
     about = about or {}
     sources = about.get("sources")
     for name in ("recording", "perception"):

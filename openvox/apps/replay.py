@@ -18,6 +18,7 @@ from openvox.apps.loop import Observer, run
 from openvox.apps.memory import MemoryLimit
 from openvox.apps.passes import check_passes, first_passes, pass_row
 from openvox.apps.resume import beginning, chain_state
+from openvox.apps.timing import STAGES, Ran, Stopwatch, summary
 from openvox.core.digest import frame_digest, map_digest
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters, preset
@@ -30,6 +31,7 @@ from openvox.formats.map_npz import write_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
 from openvox.formats.perception import FrameMasks, PerceptionInfo, perception_info, read_masks
 from openvox.formats.recording import RecordingInfo, read_frames, recording_info
+from openvox.formats.times import times_path, write_times
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
 from openvox.mapper.engines.compiled import all_kept
@@ -37,8 +39,6 @@ from openvox.mapper.mapper import Mapper
 
 COMPILES_AFTER = 1.5
 """Seconds after which a word is said: the kernels are being compiled, not loaded."""
-MAPPING = ("masks", "project", "associate", "evolve")
-STAGES = ("decode", *MAPPING, "trace")
 
 
 def replay(
@@ -76,7 +76,7 @@ def replay(
         end = min(source.last + 1, source.last + 1 if end is None else end)
     stem = Path(out) if out else stem_of(recording)
     map_path, trace_path = Path(f"{stem}{MAP_SUFFIX}"), Path(f"{stem}{TRACE_SUFFIX}")
-    outputs = [map_path, trace_path, *([rerun] if rerun else [])]
+    outputs = [map_path, trace_path, times_path(trace_path), *([rerun] if rerun else [])]
     _check_outputs([recording, found.path, *([resume] if resume else [])], outputs)
     earlier = beginning(resume, preset_name, parameters, found, source)
     start = earlier.first_frame(start, stride)
@@ -102,7 +102,8 @@ def replay(
     said = {**earlier.said, **({"passes_before": rows} if rows else {})}
     with ExitStack() as stack:
         trace = stack.enter_context(TraceWriter(trace_path, {**about, "sources": sources, **said}, chain))
-        observers: list[Observer] = [trace, *watching]
+        ran = Ran()
+        observers: list[Observer] = [trace, *watching, ran]
         if rerun is not None:
             from openvox.view.rerun_observer import RerunObserver
 
@@ -128,6 +129,8 @@ def replay(
         result = mapper.finish()
         for observer in observers:
             observer.close(result)
+    watch.times["trace"] = [1000 * value for value in trace.seconds]
+    write_times(times_path(trace_path), ran.times(trace.digest, watch.times))
     # last, so that a map never stands beside a trace that could not be completed
     digests = {"recording": source.digest, "map": map_digest(result), "trace": trace.digest}
     meta = {
@@ -137,7 +140,6 @@ def replay(
     }
     write_map(map_path, replace(result, meta=meta, state={**result.state, **chain_state(trace.digest)}))
     seconds = time.perf_counter() - begin
-    watch.times["trace"] = [1000 * value for value in trace.seconds]
     return {
         "frames": counter.frames,
         "looked": counter.looked,
@@ -149,7 +151,12 @@ def replay(
         "decisions": dict(sorted(counter.rules.items())),
         "digests": digests,
         "passes": [*rows, pass_row(result, trace.digest)],
-        "outputs": {"map": str(map_path), "trace": str(trace_path), "rerun": str(rerun) if rerun else None},
+        "outputs": {
+            "map": str(map_path),
+            "trace": str(trace_path),
+            "times": str(times_path(trace_path)),
+            "rerun": str(rerun) if rerun else None,
+        },
         "replaced": replaced,
         **about,
     }
@@ -188,25 +195,6 @@ def warm_up(parameters: MapperParameters, engine: str, notice: Callable[[str], N
         timer.cancel()
     if not all_kept():
         notice("there is no folder to keep the compiled kernels in, so every run compiles; set NUMBA_CACHE_DIR to one")
-
-
-class Stopwatch:
-    """Milliseconds of every stage and frame."""
-
-    def __init__(self) -> None:
-        self.times: dict[str, list[float]] = {}
-        self._stage, self._begin = "", 0.0
-
-    def lap(self, stage: str) -> None:
-        """A stage begins, and the one before ends; "" = none begins."""
-        now = time.perf_counter()
-        if self._stage:
-            self.times.setdefault(self._stage, []).append(1000 * (now - self._begin))
-        self._stage, self._begin = stage, now
-
-    def last(self) -> dict[str, float]:
-        """Milliseconds of the mapper's stages in the last frame that it looked at."""
-        return {stage: self.times[stage][-1] for stage in MAPPING if self.times.get(stage)}
 
 
 class Counting:
@@ -297,17 +285,6 @@ def _count(source: RecordingInfo, start: int | None, end: int | None, stride: in
     first = source.first if start is None else max(start, source.first)
     last = source.last + 1 if end is None else min(end, source.last + 1)
     return max(0, -(-(last - first) // stride))
-
-
-def summary(times: Sequence[float]) -> dict[str, float]:
-    """mean, median, p95; zeros of nothing."""
-    if not times:
-        return {"mean": 0.0, "median": 0.0, "p95": 0.0}
-    return {
-        "mean": float(np.mean(times)),
-        "median": float(np.median(times)),
-        "p95": float(np.percentile(times, 95)),
-    }
 
 
 def relative(path: Path, beside: Path) -> str:

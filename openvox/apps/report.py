@@ -15,8 +15,11 @@ from openvox.formats.map_npz import SUFFIX, read_map
 from openvox.formats.recording import recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import trace_info
+from openvox.view.page.document import Html
 
 SUFFIXES = (".html", ".htm")
+SUSPECTS = 20
+"""Decisions that the page lists for a first look."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,6 @@ def _one_map(
     from openvox.apps.categories import categories_of
     from openvox.apps.reporting.crops import crops
     from openvox.apps.reporting.one_map import map_page
-    from openvox.apps.reporting.run import read_run
 
     remarks: list[str] = []
     if trace is not None:
@@ -118,10 +120,26 @@ def _one_map(
         remarks.append("No pictures of the instances: the recording has no colour.")
     else:
         pieces = crops(result, source)
-    run = read_run(trace) if trace else None
+    run = _run(trace, result) if trace else []
     title = path.name.removesuffix(SUFFIX)
     categories = categories_of(result, classes)
     return map_page(title, result, map_digest(result), run, pieces, remarks, categories), trace, source, remarks
+
+
+def _run(trace: Path, result: InstanceMap) -> list[Html]:
+    """What the trace tells: where to look first, decisions, growth, and speed from the times beside it."""
+    from openvox.apps.explaining.run import read_run
+    from openvox.apps.explaining.suspicious import suspicious
+    from openvox.apps.reporting.first_look import first_look
+    from openvox.apps.reporting.run import confirmed_before, counted, run_section
+    from openvox.apps.reporting.speed import speed_section, times_of
+
+    told = read_run(trace)
+    return [
+        *first_look(suspicious(told, SUSPECTS), {summary.id for summary in result.instances}),
+        *run_section(counted(told.frames, confirmed_before(told.frames, result))),
+        *speed_section(trace, times_of(trace, trace_info(trace).digest)),
+    ]
 
 
 def _check_trace(path: Path, result: InstanceMap, trace: Path) -> None:

@@ -10,7 +10,6 @@ import numpy as np
 
 from openvox.apps.reporting.crops import Crop
 from openvox.apps.reporting.parts import Column, head, notes, number, provenance, scenes, searched, swatch
-from openvox.apps.reporting.run import Run, run_section
 from openvox.core.colors import category_colors, instance_color
 from openvox.core.types import InstanceMap, InstanceSummary
 from openvox.formats.images import encode_jpeg
@@ -44,12 +43,12 @@ def map_page(
     title: str,
     result: InstanceMap,
     digest: str,
-    run: Run | None,
+    run: Sequence[Html],
     crops: Mapping[int, Sequence[Crop]],
     remarks: Sequence[str],
     categories: Sequence[str],
 ) -> str:
-    """HTML. title: the map's name. run: of its trace. crops: by instance. remarks: what is missing, and why.
+    """HTML. title: the map's name. run: what its trace tells. crops: by instance. remarks: what is missing, and why.
     categories: one an instance."""
     azimuth = map_azimuth(result)
     lead = "Instances that OpenVox found in a recording, and how sure it is of them."
@@ -68,7 +67,7 @@ def map_page(
             class_="split",
         ),
         _pictures(result, azimuth),
-        run_section(run) if run else None,
+        run,
         provenance(result, digest),
     ]
     content = [head(title, lead, _facts(result)), tag("main", main), foot(digest)]
@@ -144,6 +143,7 @@ def _row(summary: InstanceSummary, confidence: float, views: Sequence[Crop], wit
         data_name=name,
         data_text=" ".join([str(summary.id), category, *(text for text, _ in summary.captions)]).lower(),
         aria_selected="false",
+        id=f"instance-{summary.id}",
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from openvox.core.fixedpoint import Q20
-from openvox.formats.trace import TraceFrame, read_trace
+from openvox.core.types import InstanceMap
+from openvox.formats.trace import TraceFrame
 from openvox.view.page.document import Html, tag
 from openvox.view.page.plots import bars, histogram, lines
 
@@ -32,23 +32,27 @@ class Run:
     not_looked: int = 0
 
 
-def read_run(trace: Path) -> Run:
-    """All of a trace. Raises InputError."""
-    run, alive, sure = Run(), set[int](), set[int]()
-    for frame in read_trace(trace):
+def counted(frames: Sequence[TraceFrame], confirmed: Iterable[int] = ()) -> Run:
+    """Counts over the frames of a trace. confirmed: instances that were confirmed before the first of them."""
+    run, instance_of, sure = Run(), dict[int, int](), set(confirmed)
+    for frame in frames:
         _count(run, frame)
-        for event in frame.events:
-            if event.kind in ("new", "merged", "split"):
-                alive.add(event.instance)
-            if event.kind == "merged":
-                alive -= set(event.others)
-            elif event.kind == "split":
-                alive |= set(event.others)
-            elif event.kind == "confirmed":
-                sure.add(event.instance)
+        instance_of.update(frame.regrouped)
+        sure.update(event.instance for event in frame.events if event.kind == "confirmed")
+        alive = set(instance_of.values()) - {0}
         run.instances.append(len(alive))
         run.confirmed.append(len(alive & sure))
     return run
+
+
+def confirmed_before(frames: Sequence[TraceFrame], result: InstanceMap) -> set[int]:
+    """Instances of the map that the run went on from which were confirmed, as far as they live on in its result."""
+    if not frames:
+        return set()
+    born = {event.instance for event in frames[0].events if event.kind == "new"}
+    told = {event.instance for frame in frames for event in frame.events if event.kind == "confirmed"}
+    brought = {instance for _, instance in frames[0].regrouped} - born - told
+    return brought & {summary.id for summary in result.instances if summary.state == "confirmed"}
 
 
 def _count(run: Run, frame: TraceFrame) -> None:
@@ -95,6 +99,5 @@ def run_section(run: Run) -> list[Html]:
         tag("p", f"{sum(run.rules.values())} masks in {len(run.frames)} frames.{skipped}", class_="note"),
         tag("div", decisions, class_="plots"),
         tag("h2", "Growth"),
-        tag("p", "A trace holds no times; replay prints how long its steps took.", class_="note"),
         tag("div", growth, class_="plots"),
     ]

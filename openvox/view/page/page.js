@@ -31,6 +31,10 @@ for (const row of rows) {
   });
 }
 
+for (const link of document.querySelectorAll("a[href^='#instance-']")) {
+  link.addEventListener("click", () => choose(document.querySelector(link.hash), { scroll: true }));
+}
+
 for (const table of document.querySelectorAll("table.sorted")) {
   const body = table.tBodies[0];
   const buttons = [...table.tHead.querySelectorAll("button")];

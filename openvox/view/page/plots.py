@@ -13,6 +13,9 @@ LEFT, RIGHT, TOP, BOTTOM = 44, 10, 10, 34
 BAR = 24
 SERIES = 3
 """Lines that the style has colours for."""
+AREAS = 4
+COLUMNS = 280
+"""Frames that are drawn of a long run."""
 
 
 def bars(title: str, rows: Sequence[tuple[str, float]], note: str = "", *, digits: int = 0) -> Html:
@@ -90,6 +93,29 @@ def lines(title: str, x: Sequence[float], series: Sequence[tuple[str, Sequence[f
     )
     ends = ", ".join(f"{name} ends at {values[-1]:g}" for name, values in series if len(values))
     return _figure(title, note, marks, f"{title}: {ends}", HEIGHT, keys)
+
+
+def areas(title: str, x: Sequence[float], series: Sequence[tuple[str, Sequence[float]]], note: str = "") -> Html:
+    """Values >= 0 on one another over a common axis (frame numbers), each with its name.
+
+    Of many frames the highest of each few that lie together is drawn."""
+    few = -(-len(x) // COLUMNS) or 1
+    height = [sum(values) for values in zip(*(values for _, values in series), strict=True)]
+    kept = [max(range(i, min(i + few, len(x))), key=height.__getitem__) for i in range(0, len(x), few)]
+    low, high = (min(x), max(x)) if x else (0, 0)
+    high += low == high
+    top = _ceiling(max(height, default=0))
+    marks = _grid((low, high), top)
+    floor = [0.0] * len(kept)
+    for number, (_, values) in enumerate(series):
+        roof = [below + values[k] for below, k in zip(floor, kept, strict=True)]
+        edge = [*zip(kept, roof, strict=True), *reversed([*zip(kept, floor, strict=True)])]
+        points = " ".join(f"{_f(_x(x[k], low, high))},{_f(_y(value, top))}" for k, value in edge)
+        marks.append(tag("polygon", points=points, class_=f"area-{number % AREAS}"))
+        floor = roof
+    keys = [tag("span", name, class_=f"key area-key-{number % AREAS}") for number, (name, _) in enumerate(series)]
+    said = f"{title}: {', '.join(name for name, _ in series)} on one another, at most {max(height, default=0):.3g}"
+    return _figure(title, note, marks, said, HEIGHT, keys)
 
 
 def _figure(title: str, note: str, marks: Sequence[Html], said: str, height: float, keys: Sequence[Html] = ()) -> Html:
