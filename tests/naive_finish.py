@@ -70,10 +70,26 @@ def existence(theta: int, group: list[Piece], everything: Collection[Piece]) -> 
     """Mean theta times k/(k+2), k/v and the squared relative score: k frames matched it, v frames saw it."""
     matched, seen = frames(group)
     k, v = len(matched), max(1, len(seen))
+    return theta * k * k * relative(group, everything) ** 2 // ((k + 2) * v) // ONE**2
+
+
+def relative(group: list[Piece], everything: Collection[Piece]) -> int:
+    """The instance's mean score over that of all masks, at most 1."""
     score, masks = sum(piece.score for piece in group), sum(piece.observations for piece in group)
     scores, every = sum(piece.score for piece in everything), sum(piece.observations for piece in everything)
-    relative = min(ONE, score * every * ONE // max(1, scores * masks))
-    return theta * k * k * relative**2 // ((k + 2) * v) // ONE**2
+    return min(ONE, score * every * ONE // max(1, scores * masks))
+
+
+def overlap(instance: int, shown: Mapping[Voxel, int], sums: Mapping[Voxel, Counter[int]], k: int, score: int) -> int:
+    """Share of all votes times (p - d)/(p + d), k/(k+2) and the relative score: p faces, d of them in doubt."""
+    unsure = {voxel: ONE - sums[voxel][i] * ONE // max(1, sums[voxel].total()) for voxel, i in shown.items()}
+    voxels = [voxel for voxel in shown if shown[voxel] == instance]
+    faces = [(voxel, other) for voxel in voxels for face in FACES if (other := beside(voxel, face)) in shown]
+    p = len(faces) * ONE
+    d = sum(unsure[voxel] + unsure[other] for voxel, other in faces if shown[other] != instance)
+    votes, everything = sum(sums[v][instance] for v in voxels), sum(sums[v].total() for v in voxels)
+    share = votes * ONE // max(1, everything)
+    return share * score * k * max(0, p - d) // ((k + 2) * max(1, p + d)) // ONE
 
 
 def frames(group: list[Piece]) -> tuple[set[int], set[int]]:
@@ -129,11 +145,15 @@ def finish(
             if p.finish.existence and p.finish.ranking == "matches":
                 ranks[instance] = theta * len(frames(group)[0]) // (len(frames(group)[0]) + 2)
             elif p.finish.existence and p.finish.ranking == "existence":
-                ranks[instance] = sure * theta * len(kept) // (len(kept) + 10) // ONE
+                ranks[instance] = sure
             if p.finish.existence and sure < round(p.finish.min_confidence * ONE):
                 kept = set()
         shown.update((voxel, 0) for voxel in voxels - kept)
     ids = sorted(set(shown.values()) - {0})
+    for instance in ids if p.finish.existence and p.finish.ranking == "overlap" else ():
+        group = [fragments[f] for f in fragments if instance_of[f] == instance]
+        score = relative(group, fragments.values())
+        ranks[instance] = overlap(instance, shown, sums, len(frames(group)[0]), score)
     used = sorted({f for voxel in order for f in votes[voxel] if f > 0})
     groups = [[fragments[f] for f in fragments if instance_of[f] == i] for i in ids]
     rows = [sorted(votes[voxel].items()) for voxel in order]

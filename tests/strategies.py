@@ -159,7 +159,7 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
         "finish.smoothing": [0, 1, 3],
         "masks.window": [0, 1],
         "association.slots": [0, 1, 2],
-        "finish.ranking": ["share", "matches", "existence"],
+        "finish.ranking": ["share", "matches", "existence", "overlap"],
         "finish.min_votes": [0, 2],
         "finish.min_frames": [0, 2],
         "finish.min_part": [0.05, 0.4],

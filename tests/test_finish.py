@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ def finished(
     return finished_map((keys, row, what, count), known, instance_of, Life(parameters.finish), 0, parameters)
 
 
-def openvox(**finish: float) -> MapperParameters:
+def openvox(**finish: Any) -> MapperParameters:
     """Preset openvox where everything exists and counts are not smoothed, but for what is given."""
     return replace(OPENVOX, finish=replace(OPENVOX.finish, **{**ALWAYS, "smoothing": 0, **finish}))
 
@@ -183,27 +184,49 @@ def test_confidence_in_paper_is_the_mean_share() -> None:
     assert result.instance_confidence.tolist() == [0.75]  # shares 1 and 1/2
 
 
-def test_confidence_in_openvox_weighs_frames_and_size() -> None:
-    # share 1, matched in k = 2 of v = 4 frames: existence 1 x 2/4 x 2/4; one voxel is mostly rim: x 1/11
+def test_a_thing_whose_outline_nobody_disputes_is_all_right() -> None:
+    # share 1, matched in k = 2 of v = 4 frames: x 2/4; all its faces lead to itself or to sure background
     fragments = {1: fragment(1, matched=0b0011, seen=0b1110, score=0.5)}
-    result = finished(line({1: 2}), {1: 1}, openvox(), fragments)
-    assert result.instance_confidence[0] == pytest.approx(0.25 / 11, abs=1e-5)
+    result = finished(line({0: 4}, {1: 2}, {1: 2}, {0: 4}), {1: 1}, openvox(), fragments)
+    assert result.instance_confidence.tolist() == [0.5]
 
 
-def test_a_score_counts_against_those_of_all_masks_and_squared() -> None:
-    # matched in 2 of 2 frames each; scores 0.5 and 1.0, mean 0.75: the lower counts (2/3)^2, the other no more than 1
+def test_doubt_on_both_sides_of_the_outline_counts() -> None:
+    # three voxels, votes 8, 8 and 6 of 8: share 22/24; 5 faces to voxels of the map: four inside, one to background,
+    # where 1/4 of the votes on this side and 1/4 on that side disagree: d = 1/2, (5 - 1/2)/(5 + 1/2) = 9/11
+    result = finished(line({1: 8}, {1: 8}, {1: 6, 0: 2}, {0: 6, 1: 2}), {1: 1}, openvox(), {1: fragment(1, matched=3)})
+    assert result.instance_confidence[0] == pytest.approx(22 / 24 * 9 / 11 * 2 / 4, abs=1e-5)
+
+
+def test_a_small_thing_in_doubt_hopes_for_less_than_a_large_one() -> None:
+    sure, doubt = {1: 8}, {1: 6, 0: 2}
+    small, large = (
+        finished(line({0: 6, 1: 2}, doubt, *[sure] * n, doubt, {0: 6, 1: 2}), {1: 1}, openvox()).instance_confidence[0]
+        for n in (1, 9)
+    )
+    assert small < large
+
+
+def test_a_voxel_alone_in_the_map_says_nothing() -> None:
+    assert finished(line({1: 2}), {1: 1}, openvox()).instance_confidence.tolist() == [0.0]
+
+
+def test_a_score_counts_against_those_of_all_masks() -> None:
+    # scores 0.5 and 1.0, mean 0.75: the lower counts 2/3, squared where existence is the order; the other never over 1
     fragments = {1: fragment(1, matched=3, seen=3, score=0.5), 2: fragment(2, matched=3, seen=3, score=1.0)}
-    result = finished(line({1: 2}, {}, {}, {2: 2}), {1: 1, 2: 2}, openvox(), fragments)
-    low, high = result.instance_confidence.tolist()
-    assert high == pytest.approx(0.5 / 11, abs=1e-5)
-    assert low == pytest.approx(0.5 / 11 * 4 / 9, abs=1e-5)
+    votes = line({1: 2}, {1: 2}, {0: 2}, {2: 2}, {2: 2})
+    for ranking, expected in (("overlap", 2 / 3), ("existence", 4 / 9)):
+        result = finished(votes, {1: 1, 2: 2}, openvox(ranking=ranking), fragments)
+        low, high = result.instance_confidence.tolist()
+        assert high == pytest.approx(0.5, abs=1e-5)
+        assert low == pytest.approx(0.5 * expected, abs=1e-5)
 
 
 def test_frames_that_matched_several_fragments_of_an_instance_count_once() -> None:
-    # matched in frames 0, 1 and 2 together, never seen beside: 1 x 3/5 x 3/3, and 2 voxels of rim: x 2/12
+    # matched in frames 0, 1 and 2 together, never seen beside: 3/5
     fragments = {1: fragment(1, matched=0b011, seen=0), 2: fragment(2, matched=0b110, seen=0)}
     result = finished(line({1: 2}, {2: 2}), {1: 1, 2: 1}, openvox(), fragments)
-    assert result.instance_confidence[0] == pytest.approx(0.1, abs=1e-5)
+    assert result.instance_confidence[0] == pytest.approx(0.6, abs=1e-5)
     assert result.instances[0].observations == 3
 
 

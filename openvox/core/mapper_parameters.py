@@ -216,11 +216,12 @@ class FinishParameters:
         0.16, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
     )
     ranking: str = parameter(
-        "existence",
+        "overlap",
         "",
-        choices=("share", "matches", "existence"),
+        choices=("share", "matches", "existence", "overlap"),
         needs="finish.existence",
-        why="confidence: mean share of votes; times k/(k+2) of k frames matched; or how surely it exists x expected overlap",
+        why="confidence: mean share of votes; times k/(k+2) of k frames matched; how surely it exists; or how much of it is "
+        "right, as errors lie at the outline",
     )
 
 

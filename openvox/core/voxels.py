@@ -21,3 +21,9 @@ def voxel_index(key: NDArray[np.int64]) -> NDArray[np.int32]:
     """(n,) keys to (n, 3) voxel indices."""
     field = (1 << 21) - 1
     return np.stack([(key >> 42) - RANGE, ((key >> 21) & field) - RANGE, (key & field) - RANGE], 1).astype(np.int32)
+
+
+def rows_of(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Row of each wanted key among the ascending keys, -1 if there is none."""
+    where = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[where] == wanted, where, -1)

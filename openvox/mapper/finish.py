@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import FinishParameters, MapperParameters
 from openvox.core.types import Event, InstanceMap, InstanceSummary
-from openvox.core.voxels import voxel_index, voxel_key
+from openvox.core.voxels import rows_of, voxel_index, voxel_key
 from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
+from openvox.mapper.ranking import FACES, existence, expected_overlap, relative_scores
 
 Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
 CHUNK = 1 << 13
 """Voxels that are smoothed at a time."""
-RIM = 10
-"""Voxels at which an instance is about as much rim as body."""
-FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 HALF_NEIGHBOURS = tuple((i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0))
 """One of each opposite pair of the 26 neighbours."""
 
@@ -46,19 +44,25 @@ def finished_map(
     total = np.bincount(row[~bare], count[~bare], len(keys)).astype(np.int64)
     vetoed = np.bincount(row[bare], count[bare], len(keys)) > total
     shown = np.where(vetoed | (total < parameters.finish.min_votes), 0, shown)
-    share = _share(own_row, own_id, own_count, shown, total)
+    share = _share(_own(own_row, own_id, own_count, shown), total)
     gone: dict[int, str] = {}
     shown = _existing(shown, keys, memories, parameters.finish, gone)
-    theta, sizes = _mean_theta(shown, share)
-    confidence = dict(theta)
+    theta = _mean_theta(shown, share)
+    scores = relative_scores(memories)
+    sure = existence(theta, memories, scores)
     if parameters.finish.existence:
-        existence = _existence(theta, memories)
-        shown = _sure(shown, existence, parameters.finish.min_confidence, gone)
-        if parameters.finish.ranking == "matches":
-            confidence = {i: value * memories[i].matched // (memories[i].matched + 2) for i, value in theta.items()}
-        elif parameters.finish.ranking == "existence":
-            confidence = {i: _expected_overlap(value, theta[i], sizes[i]) for i, value in existence.items()}
-    share = _share(own_row, own_id, own_count, shown, total)
+        shown = _sure(shown, sure, parameters.finish.min_confidence, gone)
+    own = _own(own_row, own_id, own_count, shown)
+    share = _share(own, total)
+    ranking = parameters.finish.ranking if parameters.finish.existence else "share"
+    if ranking == "overlap":
+        confidence = expected_overlap(shown, keys, own, total, memories, scores)
+    elif ranking == "existence":
+        confidence = sure
+    elif ranking == "matches":
+        confidence = {i: value * memories[i].matched // (memories[i].matched + 2) for i, value in theta.items()}
+    else:
+        confidence = theta
     kept = [i for i in np.unique(shown).tolist() if i > 0]
     index = voxel_index(keys)
     used = np.unique(fragment[fragment > 0])
@@ -130,7 +134,7 @@ def _shown(keys: Longs, row: Ints, instance: Ints, count: Longs, weight: int) ->
         index = voxel_index(keys[begin:end]).astype(np.int64)
         parts = [(np.arange(begin, end), max(1, weight))]
         if weight:
-            parts += [(_rows_of(keys, voxel_key(index + np.array(face))), 1) for face in FACES]
+            parts += [(rows_of(keys, voxel_key(index + np.array(face))), 1) for face in FACES]
         counted = [_votes_of(rows, offset, instance, count, factor) for rows, factor in parts]
         votes = _sum_by_instance(*(np.concatenate([part[i] for part in counted]) for i in range(3)))
         shown[begin:end] = _strongest(*votes, end - begin)
@@ -146,12 +150,6 @@ def _votes_of(rows: Longs, offset: Longs, instance: Ints, count: Longs, factor: 
     return place.astype(np.int32), instance[vote], count[vote] * factor
 
 
-def _rows_of(keys: Longs, wanted: Longs) -> Longs:
-    """Row of each wanted key among the ascending keys, -1 if there is none."""
-    where = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(keys[where] == wanted, where, -1)
-
-
 def _strongest(row: Ints, instance: Ints, count: Longs, voxels: int) -> Longs:
     """The instance with most votes in each voxel if it beats background strictly, the lowest id on a tie; else 0."""
     rank = (count << 32) | (0xFFFFFFFF - instance.astype(np.int64))
@@ -162,11 +160,16 @@ def _strongest(row: Ints, instance: Ints, count: Longs, voxels: int) -> Longs:
     return np.where(best >> 32 > background, 0xFFFFFFFF - (best & 0xFFFFFFFF), 0)
 
 
-def _share(row: Ints, instance: Ints, count: Longs, shown: Longs, total: Longs) -> Longs:
-    """Votes of the shown instance over all votes of each voxel in Q20 (background's where none is shown)."""
+def _own(row: Ints, instance: Ints, count: Longs, shown: Longs) -> Longs:
+    """Votes of each voxel for the instance that it shows (for background where none is shown)."""
     own = np.zeros(len(shown), np.int64)
     mine = instance == shown[row]
     own[row[mine]] = count[mine]
+    return own
+
+
+def _share(own: Longs, total: Longs) -> Longs:
+    """Own votes over all votes of each voxel, Q20."""
     share: Longs = (own << 20) // np.maximum(total, 1)
     return share
 
@@ -208,7 +211,7 @@ def _parts(shown: Longs, keys: Longs) -> Longs:
     rows = np.flatnonzero(shown > 0)
     index = voxel_index(keys[rows]).astype(np.int64)
     for step in HALF_NEIGHBOURS if len(rows) else ():
-        other = _rows_of(keys, voxel_key(index + np.array(step)))
+        other = rows_of(keys, voxel_key(index + np.array(step)))
         same = (other >= 0) & (shown[rows] == shown[other])
         part = _joined(part, rows[same], other[same])
     return part
@@ -227,36 +230,12 @@ def _joined(part: Longs, a: Longs, b: Longs) -> Longs:
             part = lower
 
 
-def _mean_theta(shown: Longs, share: Longs) -> tuple[dict[int, int], dict[int, int]]:
-    """Mean theta (Q20) and number of voxels of every shown instance, ids ascending."""
+def _mean_theta(shown: Longs, share: Longs) -> dict[int, int]:
+    """Mean theta (Q20) of every shown instance, ids ascending."""
     sums = np.zeros(int(shown.max(initial=0)) + 1, np.int64)
     np.add.at(sums, shown, share)
     sizes = np.bincount(shown)
-    ids = [i for i in np.flatnonzero(sizes).tolist() if i]
-    return {i: int(sums[i]) // int(sizes[i]) for i in ids}, {i: int(sizes[i]) for i in ids}
-
-
-def _existence(theta: Mapping[int, int], memories: Mapping[int, Memory]) -> dict[int, int]:
-    """How surely each shown instance is a thing, Q20: mean theta x k/(k+2) x k/v x the square of its relative score
-    (k frames matched, v frames that saw it).
-
-    A relative score is the instance's mean detection score over that of all masks, at most 1: what is a good score
-    differs between detectors, but a phantom scores below what else the same detector finds."""
-    scores = sum(memory.score for memory in memories.values())
-    masks = sum(memory.observations for memory in memories.values())
-    out = {}
-    for i, value in theta.items():
-        memory = memories[i]
-        k, v = memory.matched, max(1, memory.seen)
-        relative = min(fixedpoint.Q20, ((memory.score * masks) << 20) // max(1, scores * memory.observations))
-        out[i] = value * k * k * relative * relative // ((k + 2) * v) >> 40
-    return out
-
-
-def _expected_overlap(existence: int, theta: int, voxels: int) -> int:
-    """Confidence, Q20: existence x the overlap that one may hope for, theta x n/(n + RIM), as small things are mostly
-    rim."""
-    return existence * theta * voxels // (voxels + RIM) >> 20
+    return {i: int(sums[i]) // int(sizes[i]) for i in np.flatnonzero(sizes).tolist() if i}
 
 
 def _summary(i: int, memory: Memory, life: Life, index: NDArray[np.int32], size: float) -> InstanceSummary:

@@ -35,6 +35,7 @@ RULES = (
     "lifecycle.kinds=false",
     "finish.smoothing=0",
     "finish.existence=false",
+    "finish.ranking=existence",
     "masks.erosion=0,masks.step_margin=0",
 )
 MEASURES = ("ap", "ap50", "ap25", "f50", "spill", "missed_share", "predicted", "merged")
