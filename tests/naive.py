@@ -7,9 +7,10 @@ Masks and fragments are numbers; a voxel is (x, y, z); id 0 is the background.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations, product
 
 import naive_finish
@@ -82,6 +83,7 @@ class Twin:
         self.moved: set[Voxel] = set()
         self.bare: Counter[Voxel] = Counter()
         self.sizes: Counter[int] = Counter()
+        self.eye: tuple[int, ...] = (0, 0, 0)
         self.looked = 0
         self.dimensions = 0
 
@@ -92,6 +94,8 @@ class Twin:
         every = [pixels_of(mask) for mask in masks]
         areas = {m: area for m, area in enumerate(every) if len(area) >= self.p.masks.min_pixels}
         view = view_of(frame, len(masks), areas, self.p)
+        edge = self.p.map.voxel_size * 1000.0
+        self.eye = tuple(math.floor(x * 1000.0 / edge) for x in frame.world_from_depth.translation)
         features = [
             None if m.embedding is None else [min(127, max(-127, round(float(x) * 127.0))) for x in m.embedding]
             for m in masks
@@ -284,18 +288,16 @@ class Twin:
 
     def move(self, f: int, voxels: set[Voxel], choice: Choice) -> None:
         piece, whole = self.new_fragment(), self.fragments[f]
-        self.fragments[piece] = replace(
-            Piece(list(whole.total)), weight=whole.weight, captions=Counter(whole.captions),
-            matched=set(whole.matched), seen=set(whole.seen),
-        )  # fmt: skip
+        self.fragments[piece].matched, self.fragments[piece].seen = set(whole.matched), set(whole.seen)
         moved = []
         for voxel in voxels:
             if f in self.votes.get(voxel, {}):
                 self.moved.add(voxel)
-                moved.append(self.votes[voxel].pop(f))
-                self.votes[voxel][piece] = moved[-1]
+                self.votes[voxel][piece] = self.votes[voxel].pop(f)
+                moved.append(self.votes[voxel][piece] // self.worth(voxel))
         factor = round(self.p.evolution.cut_inheritance * MILLION)
-        self.together[f, piece] += factor * sum(moved) // (MILLION * max(1, len(moved)))
+        inherited = factor * sum(moved) // (MILLION * max(1, len(moved)))
+        self.together[f, piece] += max(inherited, self.p.evolution.cut_least)
         choice.held = choice.held - {f} | {piece}
         if choice.main == f:
             choice.main, choice.by, choice.chosen = piece, "cut", None
@@ -360,7 +362,7 @@ class Twin:
                 cast.append((voxel, f, 2 if background else 1))
         cast = [vote for vote in cast if vote[1]]
         if self.p.evolution.veto:
-            self.bare.update(view.bare)
+            self.bare.update({voxel: self.worth(voxel) for voxel in view.bare})
         for voxel in () if self.p.evolution.veto else view.bare:
             own = self.label(voxel)
             if own in held or own == 0:
@@ -370,8 +372,14 @@ class Twin:
             counts = self.votes.setdefault(voxel, {})
             if f not in counts and 0 < slots <= sum(other > 0 for other in counts):
                 f = -1
-            counts[f] = counts.get(f, 0) + amount
+            counts[f] = counts.get(f, 0) + amount * self.worth(voxel)
         return {voxel for voxel, _, _ in cast}
+
+    def worth(self, voxel: Voxel) -> int:
+        """What a vote counts: near / distance to the camera's voxel, from 1 to 4."""
+        square = sum((a - b) ** 2 for a, b in zip(voxel, self.eye, strict=True))
+        edge, near = round(self.p.map.voxel_size * MILLION), round(self.p.evolution.near * MILLION)
+        return max([1, *(k for k in (2, 3, 4) if near and k * k * square * edge * edge <= near * near)])
 
     def halve(self, voxels: Iterable[Voxel]) -> None:
         """Full voxels halve their counts, at the end of a frame."""

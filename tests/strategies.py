@@ -154,6 +154,8 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
         "evolution.halving": [100, 3, 1, 0],
         "evolution.cut_share": [0.03, 0.3],
         "evolution.cut_inheritance": [4.0, 1.0, 0.0],
+        "evolution.cut_least": [20, 0, 3],
+        "evolution.near": [6.0, 0.0, 2.5],
         "lifecycle.contradiction": [1.0, 1.5],
         "lifecycle.nested": [0.3, 0.7],
         "finish.smoothing": [0, 1, 3],

@@ -208,7 +208,12 @@ def test_a_voxel_tells_who_voted_and_what_it_holds(trace: Path, run: Run) -> Non
     assert found["center"] == largest["center"]
     assert found["history"][0]["owner_before"] == 0
     votes = found["history"][0]["votes"][0]
-    assert (votes["votes_before"], votes["votes"], votes["masks"], votes["captions"]) == (0.0, 1.0, [0], ["thing 1"])
+    assert (votes["votes_before"], votes["votes"], votes["masks"], votes["captions"]) == (
+        0.0,
+        2.0,
+        [0],
+        ["thing 1"],
+    )  # twice at 2 m
     number = int(np.flatnonzero((run.index == found["voxel"]).all(1))[0])
     assert found["now"]["owner"] == found["history"][-1]["owner"] == int(run.final_owner[number])
     assert sum(vote["share"] for vote in found["now"]["votes"]) == pytest.approx(1.0)

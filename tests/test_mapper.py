@@ -16,6 +16,7 @@ from openvox.core.fixedpoint import Q20
 from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
 from openvox.core.parameters import updated
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Pose, Rig, Step
+from openvox.mapper.engines.engine import vote_worth
 from openvox.mapper.mapper import Mapper
 
 LIKELY = settings(
@@ -110,7 +111,9 @@ def test_the_order_of_masks_of_unlike_areas_changes_their_numbers_alone(world: W
 def test_openvox_without_its_rules_is_paper(world: World) -> None:
     switches = ("masks.one_vote", "association.containment", "evolution.background", "finish.existence")
     off = updated(
-        OPENVOX, {**dict.fromkeys(switches, False), "masks.min_pixels": 0, "finish.smoothing": 0}, source="test"
+        OPENVOX,
+        {**dict.fromkeys(switches, False), "masks.min_pixels": 0, "evolution.near": 0.0, "finish.smoothing": 0},
+        source="test",
     )
     size = world.parameters.map
     a, b = (mapped(world.frames, replace(each, map=size)) for each in (off, PAPER))
@@ -145,7 +148,15 @@ def test_looked_and_nothing_found_votes_for_background() -> None:
     steps, result = mapped([(wall(0), ())], small(OPENVOX))
     assert steps[0].looked
     assert (result.vote_fragment == 0).all()
-    assert (result.vote_count == 1).all()
+    assert (result.vote_count == 4).all()  # half a vote, and at 1 m one counts four times
+
+
+def test_a_vote_counts_more_from_near() -> None:
+    square = np.array(
+        [0, 50**2, 50**2 + 1, 75**2, 75**2 + 1, 150**2]
+    )  # 6 m / k: 1.5, 2 and 3 m are 37.5, 50 and 75 voxels
+    assert vote_worth(square, 0.04, 6.0).tolist() == [4, 3, 2, 2, 1, 1]
+    assert vote_worth(square, 0.04, 0.0).tolist() == [1] * 6
 
 
 def test_a_missed_object_is_not_voted_away_but_a_voxel_left_out_is() -> None:
@@ -176,7 +187,7 @@ def test_frames_without_usable_depth_leave_an_empty_map(depth: int) -> None:
 
 def test_votes_halve_above_the_limit() -> None:
     mask = rectangle(0, 0, 12, 10)
-    chosen = updated(small(OPENVOX, erosion=0), {"evolution.halving": 3}, source="test")
+    chosen = updated(small(OPENVOX, erosion=0), {"evolution.halving": 3, "evolution.near": 0.0}, source="test")
     # 2 units a frame, and more than 6 are halved: 2 4 6 4 (8 / 2) 6 4
     counts = [mapped([(wall(i), (mask,)) for i in range(n)], chosen)[1].vote_count[0] for n in (1, 2, 3, 4, 5, 6)]
     assert counts == [2, 4, 6, 4, 6, 4]
@@ -209,7 +220,7 @@ def test_a_cut_moves_votes_and_loses_none() -> None:
     assert cut.voxel_index.tolist() == uncut.voxel_index.tolist()
     totals = [np.add.reduceat(each.vote_count, each.vote_offset[:-1]).tolist() for each in (cut, uncut)]
     assert totals[0] == totals[1]
-    assert set(cut.vote_count.tolist()) == {4}  # both frames' votes of a voxel lie with one piece
+    assert set(cut.vote_count.tolist()) == {16}  # both frames' votes of a voxel, 2 x 4 each at 1 m, lie with one piece
     assert set(cut.vote_fragment.tolist()) == {1, 2}
 
 
@@ -237,10 +248,28 @@ APART = [(LEFT, RIGHT)]
 
 
 def test_two_boxes_welded_by_ten_masks_come_apart_within_twelve_frames_and_in_paper_never() -> None:
-    # without captions: the pieces inherit T = 1.1 x 20 half votes, and each frame adds 2 to S
+    # without captions: the pieces inherit T = 1.1 x 20 half votes, whatever they count from here; a frame adds 2 to S
     assert min(welded(OPENVOX, WELD + APART * 10)) < 0.8
     assert min(welded(OPENVOX, WELD + APART * 12)) > 0.8
     assert min(welded(PAPER, WELD + APART * 30)) < 0.8
+
+
+def test_a_thing_seen_as_two_for_nine_frames_stays_one() -> None:
+    # T is at least 20, and each frame of two masks adds 2 to S: the tenth tips it
+    steps, _ = mapped(
+        [(wall(i, rig=Rig(WIDE, WIDE)), found) for i, found in enumerate([(BOTH,)] * 3 + APART * 12)], OPENVOX
+    )
+    assert [len(set(step.instance_of.values())) for step in steps] == [1] * 12 + [2] * 3
+
+
+def test_a_cut_piece_does_not_remember_what_was_said_of_the_whole() -> None:
+    bed, cat = np.array([1.0, 0.0], np.float32), np.array([0.0, 1.0], np.float32)
+    whole, left = replace(BOTH, caption="a bed", embedding=bed), replace(LEFT, caption="a bed", embedding=bed)
+    right = replace(RIGHT, caption="a cat", embedding=cat)
+    # captions without anything in common make T worth nothing: the second frame already tells two things
+    frames = [(wall(i, rig=Rig(WIDE, WIDE)), found) for i, found in enumerate([(whole,)] * 10 + [(left, right)])]
+    result = mapped(frames, OPENVOX)[1]
+    assert [summary.caption for summary in result.instances] == ["a bed", "a cat"]
 
 
 def test_one_more_mask_over_both_boxes_does_not_weld_them_again() -> None:
@@ -254,7 +283,8 @@ def test_a_mask_that_leaves_a_piece_in_view_out_says_that_it_is_another_thing() 
     # LEFT founds 1; BOTH holds it and RIGHT's ground; RIGHT cuts that off as 2; then RIGHT is missed, LEFT is not
     masks = [(BOTH,), (LEFT, RIGHT), *[(LEFT,)] * 3]
     frames = [(wall(i, rig=Rig(WIDE, WIDE)), found) for i, found in enumerate(masks)]
-    chosen = updated(OPENVOX, {"evolution.cut_inheritance": 3.0}, source="test")  # T = 3 x 2, S = 2 + 2 a frame
+    pieces = {"evolution.cut_inheritance": 3.0, "evolution.cut_least": 0}
+    chosen = updated(OPENVOX, pieces, source="test")  # T = 3 x 2, S = 2 + 2 a frame
     assert [len(set(step.instance_of.values())) for step in mapped(frames, chosen)[0]] == [1, 1, 1, 2, 2]
     silent = updated(chosen, {"lifecycle.omission": 0}, source="test")
     assert [len(set(step.instance_of.values())) for step in mapped(frames, silent)[0]] == [1, 1, 1, 1, 1]

@@ -117,6 +117,13 @@ class EvolutionParameters:
         needs="lifecycle.evidence",
         why="where a mask holds fragments that the evidence keeps apart, undecided voxels do not vote: no welding",
     )
+    near: float = parameter(
+        6.0,
+        "m",
+        0.0,
+        100.0,
+        why="a vote counts near / distance, rounded down, from 1 to 4: what is near is seen finer; 0 = all count 1",
+    )
     cut: bool = parameter(
         True, "", needs="lifecycle.evidence", why="a fragment under two masks is cut: a weld is undone in the map"
     )
@@ -135,6 +142,14 @@ class EvolutionParameters:
         100.0,
         needs="evolution.cut",
         why="togetherness of the two sides, times the mean moved votes: about what they had counted as two from the start",
+    )
+    cut_least: int = parameter(
+        20,
+        "counts",
+        0,
+        1_000_000,
+        needs="evolution.cut",
+        why="togetherness of the two sides at least: ten frames apart undo it, and a detector splits a thing for fewer",
     )
     veto: bool = parameter(
         False,
@@ -241,7 +256,7 @@ OPENVOX = MapperParameters()
 PAPER = MapperParameters(
     masks=replace(OPENVOX.masks, min_pixels=0, one_vote=False),
     association=replace(OPENVOX.association, containment=False),
-    evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, cut=False),
+    evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, near=0.0, cut=False),
     lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
     finish=replace(OPENVOX.finish, smoothing=0, existence=False),
 )

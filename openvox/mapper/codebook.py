@@ -64,9 +64,9 @@ class Fragment:
         self.matched, self.seen, self.score, self.observations = FrameSet(), FrameSet(), 0, 0
 
     def pass_on(self, piece: Fragment) -> None:
-        """Give a piece that is cut off this fragment's memory: what was seen of the whole was seen of the piece."""
-        piece.first_frame, piece.total, piece.weight = self.first_frame, self.total, self.weight
-        piece.direction, piece.square, piece.captions = self.direction, self.square, dict(self.captions)
+        """Tell a piece that is cut off when it was seen: with the whole. What was said of the whole is no memory of it:
+        the next masks' captions show whether the two are alike."""
+        piece.first_frame = self.first_frame
         piece.matched, piece.seen = self.matched.copy(), self.seen.copy()
 
 

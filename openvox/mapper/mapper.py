@@ -262,6 +262,7 @@ class Mapper:
                 one.main, one.by = piece, "cut"
                 one.visibility, one.credibility = fixedpoint.Q20, FULL_WEIGHT
             inherited = inheritance * votes // (fixedpoint.MILLION * max(1, voxels))
+            inherited = max(inherited, self.parameters.evolution.cut_least)
             self._evidence.add_together(cut.fragment, piece, inherited)
             instance = self._evidence.instance_of[cut.fragment]
             text = f"it lies under masks {cut.keeper} and {cut.mask}: {voxels} voxels go to fragment {piece}"

@@ -29,6 +29,8 @@ Bools = NDArray[np.bool_]
 Number = TypeVar("Number", np.int32, np.int64)
 NAMELESS = -1
 """The fragment of votes for ids beyond the limit."""
+MOST_WORTH = 4
+"""What a vote counts at most: nearer than a quarter of `evolution.near` nothing is seen finer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,8 @@ class Region:
     masks: int
     voxels_of_mask: Longs
     """(masks,): |V_m|."""
+    worth: Ints
+    """(voxels,): what a vote counts, by distance."""
 
     def under(self, mask: int) -> Region:
         """What lies under one mask alone, or under none."""
@@ -49,7 +53,7 @@ class Region:
         if mask < self.masks:
             alone[mask] = len(voxel)
         pairs = np.arange(len(voxel), dtype=np.int32), np.full(len(voxel), mask, np.int32)
-        return Region(self.keys[voxel], *pairs, self.masks, alone)
+        return Region(self.keys[voxel], *pairs, self.masks, alone, self.worth[voxel])
 
 
 @dataclass(eq=False)
@@ -210,7 +214,10 @@ class Engine:
             if p.masks.inliers:
                 kept = inliers(voxel_index(keys), pair_voxel, pair_mask, masks)
                 pair_voxel, pair_mask = pair_voxel[kept], pair_mask[kept]
-        return Region(keys, pair_voxel, pair_mask, masks, np.bincount(pair_mask, minlength=masks + 1)[:masks])
+        voxels_of_mask = np.bincount(pair_mask, minlength=masks + 1)[:masks]
+        away = voxel_index(keys).astype(np.int64) - transform.b
+        worth = vote_worth((away * away).sum(1), p.map.voxel_size, p.evolution.near)
+        return Region(keys, pair_voxel, pair_mask, masks, voxels_of_mask, worth)
 
     # ---- reading ----------------------------------------------------------------------------------------------------
 
@@ -223,14 +230,17 @@ class Engine:
     # ---- writing ----------------------------------------------------------------------------------------------------
 
     def move(self, region: Region, look: Look, mask: int, source: int, target: int) -> tuple[int, int]:
-        """Rename the votes for `source` under a mask to `target`; returns the voxels and the votes moved."""
-        under = look.rows[region.pair_voxel[region.pair_mask == mask]]
-        under = np.sort(under[under != EMPTY])
+        """Rename the votes for `source` under a mask to `target`; returns the voxels moved, and their votes as if all
+        had been cast from here."""
+        voxel = region.pair_voxel[region.pair_mask == mask]
+        voxel = voxel[look.rows[voxel] != EMPTY]
+        voxel = voxel[np.argsort(look.rows[voxel])]
+        under = look.rows[voxel]
         before = self._kernels.counts_of(under, np.full_like(under, source))
         rows = under[before > 0]
         self._kernels.move_votes(rows, source, target)
         self._changed += [(rows, np.full_like(rows, source)), (rows, np.full_like(rows, target))]
-        return len(rows), int(before.sum())
+        return len(rows), int((before // region.worth[voxel]).sum())
 
     def vote(self, region: Region, look: Look, held: Bools, main: Ints, undecided: Bools) -> Longs:
         """Count the votes of every (voxel, mask) pair; returns how many voxels of each mask abstained (masks + 1,).
@@ -243,7 +253,7 @@ class Engine:
         if p.veto:
             target[region.pair_mask == region.masks] = 0
         doubtful = (target == 0) & (look.label[region.pair_voxel] == 0)
-        amount = np.where(doubtful, 1, 2 if p.background else 1).astype(np.int32)
+        amount = np.where(doubtful, 1, 2 if p.background else 1).astype(np.int32) * region.worth[region.pair_voxel]
         casts = target != EMPTY
         voxel = region.pair_voxel[casts]
         self._add_rows(region, look, voxel)
@@ -324,6 +334,16 @@ class Engine:
         self._kernels.add_rows(keys.astype(np.int64))
         self._add_votes(row, fragment, count)
         self._told, self._changed = self.voxels, []
+
+
+def vote_worth(square: Longs, voxel_size: float, near: float) -> Ints:
+    """What a vote for each voxel counts: near / distance, rounded down, from 1 to MOST_WORTH. square: distances from
+    the camera in voxels, squared."""
+    edge, reach = round(voxel_size * 1_000_000), round(near * 1_000_000)
+    worth = np.ones(len(square), np.int32)
+    for times in range(2, MOST_WORTH + 1) if reach else ():
+        worth += times * times * square <= reach * reach // (edge * edge)
+    return worth
 
 
 def common_pixels(a: Mask, b: Mask) -> int:
