@@ -113,7 +113,7 @@ class Twin:
             if self.p.evolution.cut:
                 self.cut(masks, areas, view, choices)
             if self.p.lifecycle.evidence:
-                self.count_pairs(masks, areas, choices)
+                self.count_pairs(masks, areas, view, choices)
                 self.count_omissions(masks, areas, view, choices)
             in_view = sum((self.overlaps(voxels) for voxels in (*view.under, view.bare)), Counter[int]())
             self.halve(self.vote(view, choices) | self.moved)
@@ -303,7 +303,9 @@ class Twin:
             choice.main, choice.by, choice.chosen = piece, "cut", None
             choice.visibility, choice.credibility = ONE, 4096
 
-    def count_pairs(self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], choices: Sequence[Choice]) -> None:
+    def count_pairs(
+        self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]
+    ) -> None:
         """Fragments in one mask were seen together, in different masks apart."""
         use = self.p.lifecycle.kinds
         regions = {m for m in areas if use and masks[m].kind == "region"}
@@ -316,15 +318,23 @@ class Twin:
         for f, g in combinations(sorted(holders), 2):
             both = holders[f] & holders[g]
             if both:
-                said = regions and any(masks[m].kind == "object" for m in both)
-                self.together[f, g] += 6 if said else 2
+                amounts = []
+                for m in both:
+                    said = regions and masks[m].kind == "object"
+                    voxels = self.overlaps(view.under[m])
+                    shown = [len(areas[m]) * voxels[h] // max(1, len(view.under[m])) for h in (f, g)]
+                    unclear = regions and min(shown) < self.p.lifecycle.clear_pixels
+                    amounts.append((6 if said else 2) // (2 if unclear else 1))
+                self.together[f, g] += max(amounts)
                 continue
             amounts = []
             for a, b in product(holders[f], holders[g]):
                 amount = 1 if self.nested(areas[a], areas[b]) else 2
-                if {a, b} <= regions:  # may be pieces of one thing
+                if {a, b} & supports:
+                    amount *= 2
+                if {a, b} <= regions or {a, b} <= supports:  # may be pieces of one thing
                     amount = int(only_regions)
-                amounts.append(2 * amount if {a, b} & supports else amount)
+                amounts.append(amount)
             self.apart[f, g] += max(amounts)
 
     def count_omissions(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from openvox.core.mapper_parameters import LifecycleParameters
+from openvox.core.types import Mask, MaskKind
+from openvox.mapper.associate import Association
 from openvox.mapper.codebook import Fragment
+from openvox.mapper.cut import Nesting, count_pairs
 from openvox.mapper.evidence import Evidence, cluster, pair
 
 NODES = range(1, 7)
@@ -85,3 +89,57 @@ def test_clusters_kept_frame_by_frame_equal_those_of_all_evidence(
         evidence.update(sorted({f for both, _, _ in frame for f in both}), fragments)
         assert evidence.instance_of == cluster(NODES, weights)
         assert sorted(f for group in evidence.members.values() for f in group) == list(NODES)
+
+
+# Evidence by kind of mask
+
+
+def counted(kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000) -> Evidence:
+    """Evidence after one frame: masks side by side of these kinds hold these fragments, each in `pixels` pixels."""
+    evidence = Evidence(LifecycleParameters())
+    fragments = sorted(set().union(*held))
+    for f in fragments:
+        evidence.add_fragment(f)
+    masks, found, overlap = [], [], np.zeros((len(kinds) + 1, len(fragments)), np.int64)
+    for m, (kind, group) in enumerate(zip(kinds, held, strict=True)):
+        bitmap = np.zeros((10, 100_000), np.bool_)
+        bitmap[m, : pixels * len(group)] = True
+        masks.append(Mask.from_bitmap(bitmap, kind=kind))
+        found.append(Association(m, 10 * len(group), held=group))
+        overlap[m, [fragments.index(f) for f in group]] = 10
+    nesting = Nesting(masks, 0.7)
+    count_pairs(masks, found, np.array(fragments, np.int32), overlap, nesting, evidence, LifecycleParameters())
+    return evidence
+
+
+@pytest.mark.parametrize(
+    ("kinds", "apart"),
+    [
+        (["object", "object"], 2),
+        (["region", "region"], 1),  # nothing better in the frame
+        (["region", "region", "object"], 0),
+        (["support", "support"], 0),  # parts of one thing on a table, perhaps
+        (["region", "support"], 4),
+        (["object", "support"], 4),
+        (["region", "object"], 2),
+    ],
+)
+def test_masks_side_by_side_contradict_each_other_as_their_kinds_know(kinds: list[MaskKind], apart: int) -> None:
+    evidence = counted(kinds, [{i + 1} for i in range(len(kinds))])
+    assert evidence.apart.get((1, 2), 0) == apart
+
+
+@pytest.mark.parametrize(
+    ("kinds", "clear", "small"),
+    [
+        (["object"], 2, 2),  # no regions from depth: nothing is lost from afar
+        (["region"], 2, 1),
+        (["object", "region"], 6, 3),
+    ],
+)
+def test_where_depth_made_the_masks_small_things_lie_in_them_for_less(
+    kinds: list[MaskKind], clear: int, small: int
+) -> None:
+    held = [{1, 2}, {3}][: len(kinds)]
+    assert counted(kinds, held, 1000).together == {(1, 2): clear}
+    assert counted(kinds, held, 999).together == {(1, 2): small}

@@ -133,6 +133,23 @@ def test_arms_of_a_seat_do_not_stand_on_it():
         assert (len(parts.depths) - 1 > parts.pieces) is standing
 
 
+def test_what_stands_on_a_segment_is_known_and_what_stands_beside_it_is_not():
+    box = Solid(2, 29, (-0.3, 1.9, 0.75), (0.0, 2.2, 1.1), (250, 250, 250))
+    beside = Solid(3, 29, (0.9, 1.7, 0.0), (1.3, 2.1, 0.9), (20, 200, 20))
+    frame = photograph(TABLE, box, beside)
+    parts = parts_of(frame)
+    table, upper, lower = (best(parts, frame.truth_instances == i)[1] for i in (1, 2, 3))
+    assert parts.on == {upper: table}
+    kinds = {
+        i: mask.kind
+        for mask in Offline(GEOMETRY, OFFLINE, FLOOR)(frame, ())
+        for i in (1, 2, 3)
+        if overlap(mask.bitmap(240, 320), frame.truth_instances == i) > 0.7
+    }
+    assert kinds == {1: "region", 2: "support", 3: "region"}
+    assert lower not in parts.on
+
+
 def test_a_sheet_on_an_even_table_is_parted_by_colour():
     sheet = Solid(2, 29, (-0.2, 1.9, 0.75), (0.2, 2.2, 0.752), (250, 250, 250))
     frame = photograph(TABLE, sheet)
@@ -168,6 +185,27 @@ def test_a_box_joins_the_regions_in_it_that_are_near_each_other():
     (thing,) = claims([Box((19, 9, 41, 41), 0.9, "chair")], parts, rgb, 100.0, OFFLINE)
     assert thing.regions == (1, 2)
     np.testing.assert_array_equal(thing.bitmap, (parts.labels == 1) | (parts.labels == 2))
+
+
+def test_a_box_leaves_what_stands_on_the_thing_in_it_alone():
+    parts = replace(two_parts(), on={2: 1})
+    (thing,) = claims([Box((19, 9, 41, 41), 0.9, "chair")], parts, np.zeros((60, 80, 3), np.uint8), 100.0, OFFLINE)
+    assert thing.regions == (1,)
+
+
+@pytest.mark.parametrize(
+    ("inner", "score", "outer", "found"),
+    [
+        ("potted plant", 0.5, "potted plant", ["potted plant"]),  # the pot, and all of it
+        ("potted plant", 0.7, "potted plant", ["potted plant", "potted plant"]),  # the inner one is surer
+        ("keyboard", 0.9, "laptop", ["laptop"]),
+        ("cup", 0.4, "dining table", ["cup", "dining table"]),
+    ],
+)
+def test_a_box_around_a_part_of_a_thing_gives_way_to_that_of_the_whole(inner, score, outer, found):
+    boxes = [Box((19, 9, 41, 41), 0.6, outer), Box((29, 19, 41, 41), score, inner)]
+    things = claims(boxes, two_parts(), np.zeros((60, 80, 3), np.uint8), 100.0, OFFLINE)
+    assert [thing.box.label for thing in things if thing.box] == found
 
 
 def test_a_small_box_takes_its_region_before_a_large_one():

@@ -192,7 +192,15 @@ class LifecycleParameters:
         "",
         needs="lifecycle.evidence",
         why="evidence by kind of mask: two regions contradict each other half, or not at all where the frame has other masks; "
-        "support-split pieces twice; a detector's mask joins threefold where the frame has regions too",
+        "what stands on a support twice; a detector's mask joins threefold where the frame has regions too",
+    )
+    clear_pixels: int = parameter(
+        1000,
+        "px",
+        0,
+        1_000_000,
+        needs="lifecycle.kinds",
+        why="together in a frame with regions counts half below it: from afar small things are one with what they are on",
     )
 
 

@@ -97,13 +97,17 @@ def cuts(
 def count_pairs(
     masks: Sequence[Mask | None],
     associations: Sequence[Association],
+    columns: NDArray[np.int32],
+    overlap: NDArray[np.int64],
     nesting: Nesting,
     evidence: Evidence,
     parameters: LifecycleParameters,
 ) -> None:
-    """Fragments in one mask were seen together, fragments in different masks apart."""
+    """Fragments in one mask were seen together, fragments in different masks apart.
+
+    columns (f,) fragment ids; overlap (masks + 1, f)."""
     kinds = ["" if mask is None or not parameters.kinds else mask.kind for mask in masks]
-    mixed = "region" in kinds
+    visible = _visible_pixels(masks, associations, columns, overlap)
     holders: dict[int, list[int]] = {}
     for one in associations:
         for f in sorted(one.held):
@@ -113,11 +117,39 @@ def count_pairs(
         for g in fragments[i + 1 :]:
             both = [m for m in holders[f] if m in holders[g]]
             if both:
-                evidence.add_together(f, g, max(6 if mixed and kinds[m] == "object" else 2 for m in both))
+                clear = {m: min(visible[m].get(f, 0), visible[m].get(g, 0)) >= parameters.clear_pixels for m in both}
+                evidence.add_together(f, g, max(_togetherness(kinds, m, clear[m]) for m in both))
                 continue
             apart = max(_contradiction(a, b, kinds, nesting) for a in holders[f] for b in holders[g])
             if apart:
                 evidence.add_apart(f, g, apart)
+
+
+def _visible_pixels(
+    masks: Sequence[Mask | None],
+    associations: Sequence[Association],
+    columns: NDArray[np.int32],
+    overlap: NDArray[np.int64],
+) -> dict[int, dict[int, int]]:
+    """About how many pixels of a mask show each of its fragments: its voxels there x pixels to a voxel of the mask."""
+    return {
+        one.mask: {
+            f: mask.area * common // max(1, one.voxels)
+            for f, common in zip(columns.tolist(), overlap[one.mask].tolist(), strict=True)
+        }
+        for one in associations
+        if one.held and (mask := masks[one.mask]) is not None
+    }
+
+
+def _togetherness(kinds: Sequence[str], mask: int, clear: bool) -> int:
+    """How much a mask says that what it holds is one thing: 2, in a frame with regions thrice for a detector's mask.
+
+    Regions from depth lose small things from afar: there, what is not seen clearly counts half."""
+    if "region" not in kinds:
+        return 2
+    amount = 6 if kinds[mask] == "object" else 2
+    return amount if clear else amount // 2
 
 
 def count_omissions(
@@ -151,10 +183,11 @@ def count_omissions(
 
 
 def _contradiction(a: int, b: int, kinds: Sequence[str], nesting: Nesting) -> int:
-    """How much two masks say that what they hold is two things: 2, half if nested, twice if split off a support.
+    """How much two masks say that what they hold is two things: 2, half if nested, twice if one stands on a support.
 
-    Two regions may be pieces of one thing: they say nothing where the frame has masks that know better, else half."""
-    if kinds[a] == kinds[b] == "region":
+    Two regions, or two that stand on something, may be pieces of one thing: they say nothing where the frame has masks
+    that know better, else half."""
+    if kinds[a] == kinds[b] and kinds[a] in ("region", "support"):
         return 0 if "object" in kinds or "support" in kinds else 1
     amount = 1 if nesting(a, b) else 2
     return 2 * amount if "support" in (kinds[a], kinds[b]) else amount

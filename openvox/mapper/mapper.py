@@ -278,7 +278,7 @@ class Mapper:
     ) -> None:
         lifecycle = self.parameters.lifecycle
         if lifecycle.evidence:
-            count_pairs(kept, associations, nesting, self._evidence, lifecycle)
+            count_pairs(kept, associations, look.fragments, look.overlap, nesting, self._evidence, lifecycle)
             if lifecycle.omission:
                 count_omissions(kept, associations, look.fragments, look.overlap, self._evidence, lifecycle)
 

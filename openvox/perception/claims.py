@@ -15,6 +15,8 @@ from openvox.perception.surface import Flags, Floats
 
 BEARERS = frozenset({"dining table", "bed", "couch", "bench", "desk", "table"})
 """Things that others stand on: small regions in their boxes are those others."""
+PARTS = {"keyboard": "laptop"}
+"""Words for what may be a part of another thing."""
 GRABCUT_SIDE = 120
 FAR = 1e6
 
@@ -39,12 +41,12 @@ def claims(
     free = area > 0
     free[0] = False
     out = []
-    for box in sorted(boxes, key=lambda box: (_size(box), box.corners)):
+    for box in sorted(_whole(boxes), key=lambda box: (_size(box), box.corners)):
         x0, y0, x1, y1 = _pixels(box, labels.shape)
         if x1 - x0 < 4 or y1 - y0 < 4:
             continue
         inside = np.bincount(labels[y0:y1, x0:x1].reshape(-1), minlength=regions)
-        taken = _taken(box, inside, area, free, parts.depths, focal, parameters)
+        taken = _taken(box, inside, area, free, parts, focal, parameters)
         bitmap = np.isin(labels, taken)
         if int(inside[taken].sum()) < parameters.claim_fill * (x1 - x0) * (y1 - y0):
             bitmap = cut_out((x0, y0, x1, y1), rgb, parts.z, parts.background)
@@ -62,21 +64,22 @@ def _taken(
     inside: NDArray[np.int64],
     area: NDArray[np.int64],
     free: Flags,
-    depths: Floats,
+    parts: Parts,
     focal: float,
     parameters: OfflineParameters,
 ) -> list[int]:
-    """The regions that a box takes: those mostly in it and near its largest in depth."""
+    """The regions that a box takes: mostly in it, near its largest in depth, and not standing on one of the others."""
     fits = np.flatnonzero(free & (inside >= parameters.claim_inside * area))
     if not len(fits):
         return []
     main = int(fits[np.argmax(inside[fits])])
     x0, y0, x1, y1 = box.corners
-    reach = 0.35 * max(x1 - x0, y1 - y0) * float(depths[main]) / focal + 0.15
-    near = fits[np.abs(depths[fits] - depths[main]) <= reach]
+    reach = 0.35 * max(x1 - x0, y1 - y0) * float(parts.depths[main]) / focal + 0.15
+    near = fits[np.abs(parts.depths[fits] - parts.depths[main]) <= reach]
     if box.label in BEARERS:
         near = near[inside[near] >= 0.15 * inside[main]]
-    return [int(i) for i in near]
+    taken = near.tolist()
+    return [i for i in taken if parts.on.get(i) not in taken]
 
 
 def cut_out(box: tuple[int, int, int, int], rgb: NDArray[np.uint8], z: Floats, background: Flags) -> Flags:
@@ -114,6 +117,21 @@ def _behind(z: Floats, background: Flags) -> float:
     middle = (slice(rows // 4, rows - rows // 4), slice(columns // 4, columns - columns // 4))
     known = z[middle][(z[middle] > 0) & ~background[middle]]
     return FAR if len(known) < 20 else float(np.median(known)) * 1.1 + 0.25
+
+
+def _whole(boxes: Sequence[Box]) -> list[Box]:
+    """Without boxes around a part: mostly in a larger one of the same word that is as sure, or of the whole's word."""
+    return [box for box in boxes if not any(_is_part(box, other) for other in boxes)]
+
+
+def _is_part(box: Box, other: Box) -> bool:
+    if _size(box) >= _size(other) or PARTS.get(box.label, box.label) != other.label:
+        return False
+    if box.label == other.label and box.score > other.score:
+        return False
+    a, b = box.corners, other.corners
+    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
+    return min(width, height) > 0 and width * height >= 0.8 * _size(box)
 
 
 def _size(box: Box) -> float:

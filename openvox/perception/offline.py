@@ -34,7 +34,7 @@ AGREE = 0.5
 NO_FORM = Form("", "object", "")
 Word = tuple[str, float]
 """A noun, "" = none, and how sure it is."""
-VERSION = 1
+VERSION = 2
 
 
 class Offline:
@@ -104,10 +104,11 @@ def _word_of_box(box: Box | None, mask: Mask) -> Word:
 
 
 def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
-    """sure: pixels from which on what was split off is believed to be a thing of its own."""
+    """sure: pixels from which on what stands on something, or was split off, is believed to be a thing of its own."""
     if thing.box:
         return "object"
-    return "support" if thing.regions[0] > parts.pieces and mask.area >= sure else "region"
+    stands = thing.regions[0] > parts.pieces or thing.regions[0] in parts.on
+    return "support" if stands and mask.area >= sure else "region"
 
 
 def _captioned(mask: Mask, kind: MaskKind, thing: Thing, parts: Parts, word: Word, color: str) -> Mask:

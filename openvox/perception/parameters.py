@@ -62,7 +62,7 @@ class OfflineParameters:
         0.8, "share", 0.0, 1.0, why="of what stands on a top that lies within its outline; arms of a seat do not"
     )
     support_pixels: int = parameter(
-        400, "px", 1, 100_000, why="smaller things on a support are too far to contradict others: they count as regions"
+        100, "px", 1, 100_000, why="smaller things on a support are too far to contradict others: they count as regions"
     )
     min_pixels: int = parameter(50, "px", 1, 100_000, why="smaller things on a top, or patches, are mostly noise")
     patch_ground: int = parameter(2500, "px", 1, 1_000_000, why="smaller surfaces hold no patches")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from openvox.perception.patches import tops, with_patches
 from openvox.perception.planes import Room
 from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_pixels_of, depth_at_color_pixels
 from openvox.perception.segments import Labels, planes_at, segments
-from openvox.perception.supports import split_supports
+from openvox.perception.supports import bearers, split_supports
 from openvox.perception.surface import Flags, Floats, Surface, depth_in_metres, surface
 from openvox.perception.wording import Form, forms
 
@@ -33,6 +33,7 @@ class Parts:
     depths: Floats
     form: dict[int, Form]
     pieces: int
+    on: dict[int, int] = field(default_factory=dict)
 
 
 def parted(
@@ -48,6 +49,7 @@ def parted(
         labels = with_patches(labels, tops(labels, seen, room.up_in(pose)), lab, offline)
     pieces = int(labels.max())
     labels = split_supports(labels, seen, room, pose, geometry, offline)
+    on = bearers(labels, seen, room, pose, geometry, offline)
     if lab is not None:
         labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1
@@ -62,6 +64,7 @@ def parted(
         depths=_median_depths(labels, seen.points[2]),
         form=forms(labels, seen, room, pose),
         pieces=pieces,
+        on=on,
     )
 
 

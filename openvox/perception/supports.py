@@ -1,6 +1,8 @@
-"""What stands on something and is one surface with it: parted by height above the strongest top of a segment."""
+"""What stands on what: one surface with it, and parted from it by height above the top; or a segment of its own."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +11,17 @@ from openvox.core.types import Pose
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.planes import Room, in_world, turned
 from openvox.perception.segments import Labels, components, renumbered, tolerance
-from openvox.perception.surface import Flags, Surface
+from openvox.perception.surface import Flags, Floats, Surface
 
 HEIGHT_BIN = 0.01
 NOISE = 0.5
 """Of the tolerance for steps in depth: many pixels decide together here, and a cup is low."""
 FOOTPRINT = 0.02
 """m, edge of a cell of the top's outline seen from above."""
+SUNK, LIFT = 0.02, 0.05
+"""m, beyond the noise: how far the lowest that is seen of a thing may be below and above the top that it stands on."""
+LOWEST = 4
+"""Percent of a thing's pixels below which its lowest seen part lies, and above which its highest."""
 
 
 def split_supports(
@@ -26,13 +32,8 @@ def split_supports(
     A segment's top is the height at which most of its surface faces up. What is clearly above it and within the top's
     outline stands on it, unless that is most of the segment."""
     out = labels.copy()
-    count = int(labels.max())
-    where = np.flatnonzero(labels.reshape(-1))
-    order = where[np.argsort(labels.reshape(-1)[where], kind="stable")]
-    bounds = np.searchsorted(labels.reshape(-1)[order], np.arange(1, count + 2))
-    number = count
-    for label in range(1, count + 1):
-        pixels = order[bounds[label - 1] : bounds[label]]
+    number = int(labels.max())
+    for pixels in _pixels(labels):
         if len(pixels) < 2 * offline.min_pixels:
             continue
         height, within = _above_top(pixels, surface, room, pose, geometry, offline)
@@ -66,22 +67,85 @@ def _above_top(
     offline: OfflineParameters,
 ) -> tuple[NDArray[np.float64], Flags]:
     """How far a segment's pixels are above its top, beyond the noise, metres; and which lie within its outline."""
+    body = _body(pixels, surface, room, pose, geometry)
+    top = _top(body, offline.min_pixels)
+    if top is None:
+        return np.full(len(pixels), -1.0), np.zeros(len(pixels), np.bool_)
+    level, at_top = top
+    return body.height - level - NOISE * body.noise, _within(body.points, at_top, np.array(room.up))
+
+
+def bearers(
+    labels: Labels, surface: Surface, room: Room, pose: Pose, geometry: GeometryParameters, offline: OfflineParameters
+) -> dict[int, int]:
+    """Of each segment that stands on another one, which: its lowest part is at the top of that, and nearly all of it
+    within the outline of the top. The largest segment that fits is the bearer."""
+    bodies = [_body(pixels, surface, room, pose, geometry) for pixels in _pixels(labels)]
+    large = [len(body.height) >= offline.min_pixels for body in bodies]
+    low, high = (
+        np.array([np.percentile(body.height, at) if fit else np.nan for body, fit in zip(bodies, large, strict=True)])
+        for at in (LOWEST, 100 - LOWEST)
+    )
+    found: dict[int, int] = {}
+    for bearer in sorted(range(len(bodies)), key=lambda i: (-len(bodies[i].height), i)):
+        body = bodies[bearer]
+        top = _top(body, offline.min_pixels)
+        if top is None:
+            continue
+        level, at_top = top
+        noise = float(np.median(body.noise))
+        fits = (low > level - SUNK - noise) & (low < level + LIFT + noise)
+        fits &= high > level + offline.support_height + NOISE * noise
+        for thing in np.flatnonzero(fits).tolist():
+            if thing != bearer and thing + 1 not in found and _lies_in(bodies[thing], body, at_top, room, offline):
+                found[thing + 1] = bearer + 1
+    return found
+
+
+def _lies_in(thing: _Body, bearer: _Body, at_top: Flags, room: Room, offline: OfflineParameters) -> bool:
+    points = np.concatenate([bearer.points, thing.points], 1)
+    outline = np.concatenate([at_top, np.zeros(len(thing.height), np.bool_)])
+    within = _within(points, outline, np.array(room.up))[len(bearer.height) :]
+    return int(within.sum()) >= offline.support_within * len(within)
+
+
+def _pixels(labels: Labels) -> list[NDArray[np.int64]]:
+    """The pixels of each label from 1 on, ascending, in the flat picture."""
+    flat = labels.reshape(-1)
+    where = np.flatnonzero(flat)
+    order = where[np.argsort(flat[where], kind="stable")]
+    return np.split(order, np.searchsorted(flat[order], np.arange(2, int(labels.max()) + 1)))[: int(labels.max())]
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Pixels of one segment: points (3, n) in the world, height along `up`, whether they face up, depth and noise."""
+
+    points: NDArray[np.float64]
+    height: NDArray[np.float64]
+    facing: Flags
+    z: Floats
+    noise: Floats
+
+
+def _body(pixels: NDArray[np.int64], surface: Surface, room: Room, pose: Pose, geometry: GeometryParameters) -> _Body:
     points = in_world(surface.points.reshape(3, -1)[:, pixels], pose)
     normals = turned(surface.normals.reshape(3, -1)[:, pixels], pose)
     z = surface.points[2].reshape(-1)[pixels]
     up = np.array(room.up)
-    height, facing = _along(points, up), _along(normals, up) > 0.9
-    nothing = np.full(len(pixels), -1.0), np.zeros(len(pixels), np.bool_)
-    if int(facing.sum()) < offline.min_pixels:
-        return nothing
+    return _Body(points, _along(points, up), _along(normals, up) > 0.9, z, tolerance(z, geometry))
+
+
+def _top(body: _Body, least: int) -> tuple[float, Flags] | None:
+    """The height at which most of a segment faces up, and the pixels there; None if they are fewer than `least`."""
+    height, facing = body.height, body.facing
+    if int(facing.sum()) < least:
+        return None
     low = float(height[facing].min())
-    area = np.bincount(((height[facing] - low) / HEIGHT_BIN).astype(np.int64), z[facing].astype(np.float64) ** 2)
-    top = low + (int(np.convolve(area, np.ones(3), "same").argmax()) + 0.5) * HEIGHT_BIN
-    noise = tolerance(z, geometry)
-    at_top = facing & (np.abs(height - top) < 2 * HEIGHT_BIN + noise)
-    if int(at_top.sum()) < offline.min_pixels:
-        return nothing
-    return height - top - NOISE * noise, _within(points, at_top, up)
+    area = np.bincount(((height[facing] - low) / HEIGHT_BIN).astype(np.int64), body.z[facing].astype(np.float64) ** 2)
+    level = low + (int(np.convolve(area, np.ones(3), "same").argmax()) + 0.5) * HEIGHT_BIN
+    at_top: Flags = facing & (np.abs(height - level) < 2 * HEIGHT_BIN + body.noise)
+    return (level, at_top) if int(at_top.sum()) >= least else None
 
 
 def _within(points: NDArray[np.float64], outline: Flags, up: NDArray[np.float64]) -> Flags:
