@@ -49,7 +49,7 @@ class Piece:
 
     total: list[int]
     weight: int = 0
-    captions: Counter[str] = field(default_factory=Counter)
+    captions: Counter[tuple[str, str]] = field(default_factory=Counter)
     matched: set[int] = field(default_factory=set)
     seen: set[int] = field(default_factory=set)
     score: int = 0
@@ -424,7 +424,8 @@ class Twin:
         piece.weight += w
         if mask.caption:
             support = w * round(mask.caption_score * 4096) // 4096
-            piece.captions[mask.caption] += support if mask.named else support // 32
+            label = (mask.label or mask.caption) if mask.named else ""
+            piece.captions[label, mask.caption] += support if mask.named else support // 32
         piece.score += round(mask.score * 4096)
         piece.observations += 1
         for f in choice.held:

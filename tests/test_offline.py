@@ -11,21 +11,25 @@ from worlds import Box as Solid
 from worlds import encode_color, look_at, render, tiny_frames
 
 from openvox.apps.perceive import perceive
-from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
+from openvox.core.types import Alternative, Frame, Intrinsics, Mask, MaskKind, Pose, Rig
 from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
 from openvox.perception.claims import claims
 from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
 from openvox.perception.namer import GREY, SIDE, Namer, square
 from openvox.perception.nanodet import NanoDet
-from openvox.perception.offline import Offline, colors_of
+from openvox.perception.offline import Offline, Words, captioned, colors_of
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Plane, Room
+from openvox.perception.regions import depth_at_color_pixels
+from openvox.perception.sizes import SIZE_OF, SIZES, extent_of, fits
+from openvox.perception.wording import Form
 
 CAMERA = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
 GEOMETRY = GeometryParameters(plane_area=0.3)
 OFFLINE = OfflineParameters()
+NO_WORDS = Words()
 FLOOR = Room((0.0, 0.0, 1.0), (Plane((0.0, 0.0, 1.0), 0.0),))
 TABLE = Solid(1, 7, (-0.8, 1.6, 0.0), (0.8, 2.6, 0.75), (120, 80, 40))
 
@@ -277,34 +281,38 @@ def test_probabilities_of_classes_that_share_a_noun_are_summed():
     assert row[namer.nouns.index("mug")] == pytest.approx(1 / 3, abs=1e-6)
 
 
-def words_of(monkeypatch: pytest.MonkeyPatch, box: Box | None, noun: tuple[str, float]) -> list[Mask]:
-    """Masks of a frame with one thing in it, where detector and classifier say what they are told to."""
-    monkeypatch.setattr(Namer, "__call__", lambda self, rgb, masks: [noun] * len(masks))
-    cup = Solid(1, 7, (-0.2, 1.8, 0.0), (0.2, 2.2, 0.9), (250, 250, 250))
+SEAT = Solid(1, 7, (-0.2, 1.8, 0.0), (0.2, 2.2, 0.9), (250, 250, 250))
+
+
+def words_of(monkeypatch: pytest.MonkeyPatch, box: Box | None, *nouns: tuple[str, float]) -> Mask:
+    """The mask of a frame with one thing in it, where detector and classifier say what they are told to."""
+    monkeypatch.setattr(Namer, "__call__", lambda self, rgb, masks: [list(nouns)] * len(masks))
     stage = Offline(GEOMETRY, OFFLINE, FLOOR)
-    return list(stage(photograph(cup), () if box is None else (box,)))
+    (mask,) = stage(photograph(SEAT), () if box is None else (box,))
+    return mask
 
 
-def box_of(score: float, wider: float = 0.0) -> Box:
-    cup = Solid(1, 7, (-0.2, 1.8, 0.0), (0.2, 2.2, 0.9), (250, 250, 250))
-    rows, columns = np.nonzero(photograph(cup).truth_instances == 1)
+def box_of(score: float, label: str = "chair", wider: float = 0.0) -> Box:
+    rows, columns = np.nonzero(photograph(SEAT).truth_instances == 1)
     x0, y0, x1, y1 = columns.min() - wider, rows.min(), columns.max() + 1 + wider, rows.max() + 1
-    return Box((float(x0), float(y0), float(x1), float(y1)), score, "cup")
+    return Box((float(x0), float(y0), float(x1), float(y1)), score, label)
 
 
 @pytest.mark.parametrize(
     ("box", "noun", "caption", "score", "kind"),
     [
-        (box_of(0.8), ("vase", 0.9), "a white cup", 0.8, "object"),  # a sure detector is believed
-        (box_of(0.45), ("vase", 0.9), "a white vase", 0.9, "object"),  # else the classifier
-        (box_of(0.45), ("vase", 0.2), "a white cup", 0.45, "object"),  # else a likely detector
-        (box_of(0.35), ("vase", 0.2), "", 0.5, "object"),  # else nobody
-        (None, ("vase", 0.36), "a white vase", 0.36, "region"),
-        (None, ("vase", 0.34), "", 0.5, "region"),
+        (box_of(0.8), ("lamp", 0.9), "a white chair", 0.8, "object"),  # a sure detector is believed
+        (box_of(0.45), ("lamp", 0.9), "a white lamp", 0.9, "object"),  # else the classifier
+        (box_of(0.45), ("lamp", 0.2), "a white chair", 0.45, "object"),  # else a likely detector
+        (box_of(0.35), ("lamp", 0.2), "", 0.5, "object"),  # else nobody
+        (None, ("lamp", 0.36), "a white lamp", 0.36, "region"),
+        (None, ("lamp", 0.34), "", 0.5, "region"),
+        (box_of(0.8, "cup"), ("lamp", 0.9), "a white lamp", 0.9, "object"),  # no cup is 90 cm high
+        (box_of(0.8, "cup"), ("mug", 0.9), "", 0.5, "object"),
     ],
 )
 def test_words_are_given_only_where_they_are_mostly_right(monkeypatch, box, noun, caption, score, kind):
-    (mask,) = words_of(monkeypatch, box, noun)
+    mask = words_of(monkeypatch, box, noun)
     assert mask.named is bool(caption)
     assert mask.caption == caption or (not caption and mask.caption.startswith("a white "))
     assert mask.caption_score == pytest.approx(score)
@@ -312,8 +320,60 @@ def test_words_are_given_only_where_they_are_mostly_right(monkeypatch, box, noun
 
 
 def test_a_box_that_is_not_the_masks_gives_no_word(monkeypatch):
-    (mask,) = words_of(monkeypatch, box_of(0.9, wider=60.0), ("vase", 0.1))
-    assert not mask.named
+    assert not words_of(monkeypatch, box_of(0.9, wider=60.0), ("lamp", 0.1)).named
+
+
+def test_what_else_a_thing_may_be_is_kept_at_half_its_probability(monkeypatch):
+    nouns = (("mug", 0.3), ("lamp", 0.2), ("chair", 0.1))
+    assert words_of(monkeypatch, None, *nouns).alternatives == (
+        ("lamp", "a white lamp", 0.1),
+        ("chair", "a white chair", 0.05),
+    )
+    assert words_of(monkeypatch, box_of(0.45), *nouns).alternatives == (("lamp", "a white lamp", 0.1),)
+    assert words_of(monkeypatch, box_of(0.8), *nouns).alternatives == ()  # the classifier is not asked
+
+
+def test_what_hangs_flat_on_a_wall_may_be_a_picture():
+    """`named` stays false: it may be a window."""
+    mask = Mask.from_bitmap(np.ones((4, 4), np.bool_))
+    form = Form("", "vertical surface", "on the wall")
+
+    def guess(kind: MaskKind, form: Form, extent: float, words: Words = NO_WORDS) -> tuple[Alternative, ...]:
+        return captioned(mask, kind, form, extent, words, "red").alternatives
+
+    assert guess("support", form, 0.5) == (("picture", "a red picture", 0.1),)
+    assert guess("region", form, 0.5) == guess("support", form, 2.0) == guess("support", form, 0.0) == ()
+    assert guess("support", replace(form, place=""), 0.5) == ()
+    assert guess("support", form, 0.5, Words(("clock", 0.8))) == ()
+
+
+def test_the_size_of_a_mask_is_the_largest_extent_of_what_depth_shows():
+    frame = photograph(SEAT)
+    z, camera = depth_at_color_pixels(frame.depth, frame.rig), frame.rig.color
+    mask = Mask.from_bitmap(frame.truth_instances == 1)
+    assert extent_of(mask, z, camera) == pytest.approx(0.9, abs=0.1)
+    assert extent_of(mask, np.zeros_like(z), camera) == 0.0  # not known
+
+
+@pytest.mark.parametrize(
+    ("noun", "extent", "may_be"),
+    [
+        ("baby bed", 0.2, False),
+        ("baby bed", 1.2, True),
+        ("cup", 0.9, False),
+        ("cup", 0.0, True),
+        ("unheard of", 9, True),
+    ],
+)
+def test_a_noun_must_fit_the_size(noun, extent, may_be):
+    assert fits(noun, extent) is may_be
+
+
+def test_every_noun_of_the_models_has_one_size():
+    detector = NanoDet(OFFLINE)
+    words = [word for word, indoors in zip(detector._words, detector._indoors, strict=True) if indoors]
+    assert {noun for noun in (*Namer().nouns, *words) if noun not in SIZE_OF} == set()
+    assert len(SIZE_OF) == sum(len(nouns.split(",")) for nouns in SIZES)
 
 
 def test_colours_are_those_of_the_mask_without_its_rim():

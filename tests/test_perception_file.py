@@ -53,7 +53,7 @@ FRAMES = (
         frame_digest="0a" * 32,
         masks=(
             bar(2, 20, score=0.8, label="table", caption="a grey table", caption_score=0.7),
-            bar(11, 13, NORTH, caption="a red cup", kind="support"),
+            bar(11, 13, NORTH, caption="a red cup", kind="support", alternatives=(("mug", "a red mug", 0.25),)),
             bar(14, 17, caption="a grey table", named=False, kind="region"),
         ),
         size=(24, 32),
@@ -90,6 +90,7 @@ def assert_same(actual: list[FrameMasks], expected: tuple[FrameMasks, ...], boxe
             np.testing.assert_array_equal(x.embedding, y.embedding, strict=True)
             assert (x.box, x.score, x.label, x.kind) == (y.box, y.score, y.label, y.kind)
             assert (x.caption, x.caption_score, x.named) == (y.caption, y.caption_score, y.named)
+            assert x.alternatives == y.alternatives
 
 
 def test_masks_captions_and_embeddings_come_back_exactly(tmp_path, recording):

@@ -23,18 +23,15 @@ class Flat:
         return np.array([AXES[text] for text in texts], np.float32).reshape(len(texts), 2)
 
 
-def said(captions: Mapping[int, tuple[tuple[str, float], ...]], observations: int = 0) -> InstanceMap:
-    """Instances 1 and 2 of which that was said, in so many frames."""
+def said(captions: Mapping[int, tuple[tuple[str, float], ...]], weight: float = 0.0) -> InstanceMap:
+    """Instances 1 and 2 of which that was said, where captions that are sure would have that support."""
     import dataclasses
 
     plain = labelled_map(
         INDEX, np.array([1, 2], np.int32), captions={1: "", 2: ""}, features={1: AXES["other"], 2: AXES["half"]}
     )
-    instances = tuple(
-        dataclasses.replace(one, captions=captions.get(one.id, ()), observations=observations)
-        for one in plain.instances
-    )
-    return dataclasses.replace(plain, instances=instances)
+    instances = tuple(dataclasses.replace(one, captions=captions.get(one.id, ())) for one in plain.instances)
+    return dataclasses.replace(plain, instances=instances, feature_weight=np.full(2, weight))
 
 
 def test_an_instance_of_one_caption_is_as_alike_as_the_caption():
@@ -50,8 +47,8 @@ def test_a_caption_given_rarely_still_counts_where_it_fits_far_better():
 
 
 def test_where_little_is_known_an_answer_falls_behind():
-    sure = likeness(said({1: (("same", 5.0),)}, observations=10), Flat(), ["q"])[0, 0]
-    vague = likeness(said({1: (("same", 0.1),)}, observations=10), Flat(), ["q"])[0, 0]
+    sure = likeness(said({1: (("same", 5.0),)}, weight=10.0), Flat(), ["q"])[0, 0]
+    vague = likeness(said({1: (("same", 0.1),)}, weight=10.0), Flat(), ["q"])[0, 0]
     assert sure == pytest.approx(1 + SHARPNESS * np.log(5 / (5 + 10 * DOUBT)))
     assert vague == pytest.approx(1 + SHARPNESS * np.log(0.1 / (0.1 + 10 * DOUBT)))
     assert vague < sure

@@ -14,9 +14,9 @@ from openvox.core.types import InstanceMap
 SHARPNESS = 0.05
 """Cosines that differ by less count nearly alike: one caption of ten that fits well is worth more than ten that fit a
 little."""
-DOUBT = 0.02
-"""Support a frame that no caption got: where all that is known has no noun, the support is that small, and the answer
-falls behind a named one."""
+DOUBT = 0.1
+"""The support that no caption got, as a share of what sure captions in every view would have: where all that is known
+is unsure, or has no noun, the answer falls behind a named one."""
 
 
 class Encoder(Protocol):
@@ -39,10 +39,11 @@ def likeness(result: InstanceMap, encoder: Encoder, texts: Sequence[str]) -> NDA
     for one in result.instances:
         said = [(text, support) for text, support in one.captions if text in of_caption and support > 0]
         if said:
+            row = row_of[one.id]
             support = np.array([support for _, support in said])
             each = np.exp(np.array([of_caption[text] for text, _ in said]) / SHARPNESS)
-            share = (support[:, None] * each).sum(0) / (support.sum() + DOUBT * one.observations)
-            out[:, row_of[one.id]] = SHARPNESS * np.log(share)
+            share = (support[:, None] * each).sum(0) / (support.sum() + DOUBT * float(result.feature_weight[row]))
+            out[:, row] = SHARPNESS * np.log(share)
     return out
 
 

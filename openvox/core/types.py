@@ -30,6 +30,7 @@ Embedding = NDArray[np.float32]
 
 MaskKind = Literal["object", "region", "support"]
 MASK_KINDS: tuple[MaskKind, ...] = ("object", "region", "support")
+Alternative = tuple[str, str, float]
 MAX_IMAGE_SIDE = 32767
 
 
@@ -46,9 +47,8 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         if not (0 < self.width <= MAX_IMAGE_SIDE and 0 < self.height <= MAX_IMAGE_SIDE):
-            raise InputError(
-                f"camera is {self.width}x{self.height} pixels; expected sides between 1 and {MAX_IMAGE_SIDE}"
-            )
+            found = f"{self.width}x{self.height} pixels"
+            raise InputError(f"camera is {found}; expected sides between 1 and {MAX_IMAGE_SIDE}")
         values = (self.fx, self.fy, self.cx, self.cy)
         if not (min(self.fx, self.fy) >= 0.01 and all(abs(value) <= 1e6 for value in values)):
             raise InputError(f"intrinsics fx, fy, cx, cy are {values}; expected pixels, focal lengths of 0.01 to 1e6")
@@ -164,9 +164,8 @@ class Frame:
     def __post_init__(self) -> None:
         where = f"frame {self.index}"
         if self.depth.dtype != np.uint16 or self.depth.ndim != 2:
-            raise InputError(
-                f"{where}: depth is {self.depth.dtype} with {self.depth.ndim} axes; expected a uint16 image"
-            )
+            found = f"{self.depth.dtype} with {self.depth.ndim} axes"
+            raise InputError(f"{where}: depth is {found}; expected a uint16 image")
         _check_size(where, "depth", self.depth, self.rig.depth)
         for name, image in (("truth instances", self.truth_instances), ("truth categories", self.truth_categories)):
             if image is not None:
@@ -177,10 +176,8 @@ class Frame:
 
 def _check_size(where: str, name: str, image: NDArray[Any], camera: Intrinsics) -> None:
     if image.shape != (camera.height, camera.width):
-        raise InputError(
-            f"{where}: {name} image is {image.shape[1]}x{image.shape[0]}, its camera "
-            f"{camera.width}x{camera.height}; expected equal sizes"
-        )
+        found = f"{image.shape[1]}x{image.shape[0]}, its camera {camera.width}x{camera.height}"
+        raise InputError(f"{where}: {name} image is {found}; expected equal sizes")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -199,6 +196,8 @@ class Mask:
     named: bool = True
     kind: MaskKind = "object"
     embedding: Embedding | None = None
+    alternatives: tuple[Alternative, ...] = ()
+    """What it may be as well: a label, a caption and its score."""
 
     def __post_init__(self) -> None:
         x0, y0, x1, y1 = self.box
@@ -206,16 +205,15 @@ class Mask:
             raise InputError(f"mask box is {self.box}; expected 0 <= x0 <= x1 and 0 <= y0 <= y1")
         expected = ((x1 - x0) * (y1 - y0) + 7) // 8
         if self.bits.dtype != np.uint8 or self.bits.shape != (expected,):
-            raise InputError(
-                f"mask bits are {self.bits.dtype} of shape {self.bits.shape}; "
-                f"expected {expected} bytes for box {self.box}"
-            )
+            found = f"{self.bits.dtype} of shape {self.bits.shape}"
+            raise InputError(f"mask bits are {found}; expected {expected} bytes for box {self.box}")
         if len(self.bits) and self.bits[-1] & ((1 << (-(x1 - x0) * (y1 - y0) % 8)) - 1):
             raise InputError(f"mask bits go on behind its box {self.box}; expected zeros")
         if self.kind not in MASK_KINDS:
             raise InputError(f"mask kind is {self.kind!r}; expected one of {', '.join(MASK_KINDS)}")
-        if not (0.0 <= self.score <= 1.0 and 0.0 <= self.caption_score <= 1.0):
-            raise InputError(f"mask scores are {self.score} and {self.caption_score}; expected numbers between 0 and 1")
+        scores = (self.score, self.caption_score, *(score for _, _, score in self.alternatives))
+        if not all(0.0 <= score <= 1.0 for score in scores):
+            raise InputError(f"mask scores are {', '.join(map(str, scores))}; expected numbers between 0 and 1")
 
     @classmethod
     def from_bitmap(cls, bitmap: Bitmap, **fields: Any) -> Self:
@@ -350,7 +348,7 @@ class InstanceSummary:
 
     id: int
     caption: str
-    """The caption with most support."""
+    """The best of the label with most support; if that is too little for a name, the best that names nothing."""
     captions: tuple[tuple[str, float], ...]
     """Captions with their support, most first."""
     observations: int
@@ -362,6 +360,8 @@ class InstanceSummary:
     bounds: tuple[tuple[float, float, float], tuple[float, float, float]]
     """Lower and upper corner of its voxels, metres."""
     voxels: int
+    named: bool = True
+    """Whether the caption says what it is."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -88,6 +88,7 @@ def summary_as_dict(instance: InstanceSummary) -> dict[str, Any]:
     """What the map's meta, and every JSON for people, says about an instance, without its id."""
     return {
         "caption": instance.caption,
+        "named": instance.named,
         "captions": [[text, support] for text, support in instance.captions],
         "observations": instance.observations,
         "first_frame": instance.first_frame,
@@ -194,6 +195,7 @@ def _read_summary(path: Path, number: int, entry: Any) -> InstanceSummary:
             confirmed_frame=None if confirmed is None else int(confirmed),
             bounds=(low, high),
             voxels=int(entry["voxels"]),
+            named=bool(entry.get("named", True)),
         )
     except (KeyError, TypeError, ValueError, OverflowError, IndexError):
         raise _wrong(path, "meta", f"does not describe instance {number} as a map does") from None

@@ -220,7 +220,10 @@ def _content(found: FrameMasks) -> Iterator[bytes]:
         [
             [found.index, found.frame_digest, found.size],
             [[box.corners, box.score, box.label] for box in found.boxes],
-            [[m.box, m.score, m.label, m.caption, m.caption_score, m.named, m.kind] for m in found.masks],
+            [
+                [m.box, m.score, m.label, m.caption, m.caption_score, m.named, m.kind, *m.alternatives]
+                for m in found.masks
+            ],
         ]
     )
     for mask in found.masks:

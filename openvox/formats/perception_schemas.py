@@ -36,6 +36,11 @@ _MESSAGES: dict[str, tuple[tuple[str, int | str, bool], ...]] = {
         ("label", _TYPE.TYPE_STRING, False),
     ),
     "Detections": (*_HEAD, ("detections", ".openvox.Detection", True)),
+    "Alternative": (
+        ("label", _TYPE.TYPE_STRING, False),
+        ("caption", _TYPE.TYPE_STRING, False),
+        ("score", _TYPE.TYPE_DOUBLE, False),
+    ),
     "Mask": (
         *((name, _TYPE.TYPE_UINT32, False) for name in _CORNERS),
         ("bits", _TYPE.TYPE_BYTES, False),
@@ -45,6 +50,7 @@ _MESSAGES: dict[str, tuple[tuple[str, int | str, bool], ...]] = {
         ("caption_score", _TYPE.TYPE_DOUBLE, False),
         ("named", _TYPE.TYPE_BOOL, False),
         ("kind", _TYPE.TYPE_STRING, False),
+        ("alternatives", ".openvox.Alternative", True),
     ),
     "Masks": (
         *_HEAD,
@@ -114,7 +120,7 @@ def encode_masks(stamp_ns: int, digests: tuple[str, str], size: tuple[int, int],
     message = _headed("Masks", stamp_ns, digests)
     message.height, message.width = size
     for mask in masks:
-        message.masks.add(
+        added = message.masks.add(
             **dict(zip(_CORNERS, mask.box, strict=True)),
             bits=mask.bits.tobytes(),
             score=mask.score,
@@ -124,6 +130,8 @@ def encode_masks(stamp_ns: int, digests: tuple[str, str], size: tuple[int, int],
             named=mask.named,
             kind=mask.kind,
         )
+        for label, caption, score in mask.alternatives:
+            added.alternatives.add(label=label, caption=caption, score=score)
     return _serialized(message)
 
 
@@ -140,6 +148,7 @@ def decode_masks(data: memoryview) -> tuple[tuple[str, str], tuple[int, int], li
             "caption_score": m.caption_score,
             "named": m.named,
             "kind": m.kind,
+            "alternatives": tuple((a.label, a.caption, a.score) for a in m.alternatives),
         }
         for m in message.masks
     ]

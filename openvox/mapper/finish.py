@@ -20,6 +20,8 @@ Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
 CHUNK = 1 << 13
 """Voxels that are smoothed at a time."""
+CAPTIONS = 30
+"""So many captions of an instance are kept in the map."""
 HALF_NEIGHBOURS = tuple((i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if (i, j, k) > (0, 0, 0))
 """One of each opposite pair of the 26 neighbours."""
 
@@ -243,8 +245,8 @@ def _summary(i: int, memory: Memory, life: Life, index: NDArray[np.int32], size:
     confirmed = life.confirmed.get(i)
     return InstanceSummary(
         id=i,
-        caption=memory.captions[0][0] if memory.captions else "",
-        captions=tuple((text, support / 4096) for text, support in memory.captions[:10]),
+        caption=memory.caption,
+        captions=tuple((text, support / 4096) for text, support in memory.captions[:CAPTIONS]),
         observations=memory.matched,
         first_frame=memory.first_frame,
         last_frame=memory.last_frame,
@@ -255,4 +257,5 @@ def _summary(i: int, memory: Memory, life: Life, index: NDArray[np.int32], size:
             (float(high[0]), float(high[1]), float(high[2])),
         ),
         voxels=len(index),
+        named=memory.named,
     )

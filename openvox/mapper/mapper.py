@@ -17,7 +17,7 @@ from openvox.core.types import Decision, Event, Frame, InstanceMap, Mask, Step, 
 from openvox.core.voxels import voxel_key
 from openvox.mapper import state
 from openvox.mapper.associate import Association, associate_frame
-from openvox.mapper.codebook import NAMELESS, Fragment
+from openvox.mapper.codebook import Fragment, said_of
 from openvox.mapper.cut import Nesting, count_omissions, count_pairs, cuts
 from openvox.mapper.engines.engine import Engine, Look, Region
 from openvox.mapper.engines.pixels import EMPTY
@@ -324,9 +324,7 @@ class Mapper:
             if not one.main:
                 continue
             mask, fragment = masks[one.mask], self._fragments[one.main]
-            support = one.credibility * round(mask.caption_score * 4096) >> 12
-            support = support if mask.named else support // NAMELESS
-            fragment.observe(one.credibility, features[one.mask], mask.caption, support)
+            fragment.observe(one.credibility, features[one.mask], said_of(mask, one.credibility))
             fragment.score += round(mask.score * 4096)
             fragment.observations += 1
             for f in sorted(one.held):

@@ -19,7 +19,7 @@ from openvox.mapper.frameset import BITS, FrameSet
 from openvox.mapper.life import Life
 
 Arrays = Mapping[str, NDArray[Any]]
-VERSION = 2
+VERSION = 3
 
 
 def fragment_arrays(fragments: Mapping[int, Fragment], dimensions: int) -> dict[str, NDArray[Any]]:
@@ -28,7 +28,9 @@ def fragment_arrays(fragments: Mapping[int, Fragment], dimensions: int) -> dict[
     numbers = [
         (part.first_frame, part.last_frame, part.weight, part.score, part.observations, part.voxels) for part in parts
     ]
-    captions = json.dumps([sorted(part.captions.items()) for part in parts], ensure_ascii=True)
+    captions = json.dumps(
+        [[[*said, n] for said, n in sorted(part.captions.items())] for part in parts], ensure_ascii=True
+    )
     return {
         "fragment": np.array(numbers, np.int64).reshape(len(parts), 6),
         "total": np.array([part.total for part in parts], np.int64).reshape(len(parts), dimensions),
@@ -47,7 +49,7 @@ def restored_fragments(state: Arrays) -> dict[int, Fragment]:
         part = Fragment(i + 1, first, last, state["total"][i].astype(np.int64))
         part.weight, part.score, part.observations, part.voxels = weight, score, observations, voxels
         part.matched, part.seen = matched[i], seen[i]
-        part.captions = {str(text): int(support) for text, support in captions[i]}
+        part.captions = {(str(label), str(text)): int(support) for label, text, support in captions[i]}
         part.refresh()
         fragments[part.id] = part
     return fragments

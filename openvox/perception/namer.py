@@ -17,6 +17,8 @@ SIDE = 224
 GREY = 127
 MARGIN = 0.12
 BATCH = 8
+MOST, LEAST = 8, 0.05
+"""So many nouns of a mask are told, none less likely."""
 
 
 class Namer:
@@ -30,15 +32,15 @@ class Namer:
         self._classes = np.array(sorted(table))
         self._noun_of = np.array([self.nouns.index(table[number]) for number in self._classes.tolist()])
 
-    def __call__(self, rgb: NDArray[np.uint8], masks: Sequence[Mask]) -> list[tuple[str, float]]:
-        """The likeliest noun of each mask and its probability among all classes, indoors or not."""
+    def __call__(self, rgb: NDArray[np.uint8], masks: Sequence[Mask]) -> list[list[tuple[str, float]]]:
+        """The likelier nouns of each mask, best first, and their probability among all classes, indoors or not."""
         found = []
         for start in range(0, len(masks), BATCH):
             crops = np.stack([square(rgb, mask) for mask in masks[start : start + BATCH]])
             images = crops.transpose(0, 3, 1, 2).astype(np.float32) * np.float32(1 / 255)
             for row in self._nouns(self._model.run(["logits"], images=np.ascontiguousarray(images))[0]):
-                best = int(row.argmax())
-                found.append((self.nouns[best], float(row[best])))
+                order = np.argsort(-row, kind="stable")[:MOST]
+                found.append([(self.nouns[i], float(row[i])) for i in order.tolist() if row[i] >= LEAST])
         return found
 
     def _nouns(self, logits: NDArray[np.float32]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from openvox.perception.namer import Namer
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Room
+from openvox.perception.sizes import extent_of, fits
 from openvox.perception.stage import stage_digest
 from openvox.perception.surface import working_step
 from openvox.perception.wording import COLORS, Form, color_of, color_words
@@ -34,7 +36,21 @@ AGREE = 0.5
 NO_FORM = Form("", "object", "")
 Word = tuple[str, float]
 """A noun, "" = none, and how sure it is."""
-VERSION = 2
+UNSURE = 0.5
+"""What the classifier's other nouns count beside a given word."""
+PICTURE: Word = ("picture", 0.1)
+"""A guess for what hangs flat on a wall, as no model knows the word; it may be a window, so it makes no name."""
+PICTURE_SIZE = 0.12, 1.6
+"""Metres: larger ones are windows and doors."""
+VERSION = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """What a mask is called, and what else it may be."""
+
+    word: Word = ("", SCORE)
+    others: tuple[Word, ...] = ()
 
 
 class Offline:
@@ -64,12 +80,13 @@ class Offline:
         found = [] if rgb is None else claims(boxes, parts, rgb, frame.rig.color.fx, self._offline)
         things = [*found, *self._left(parts, found, working_step(frame.rig.color) ** 2)]
         masks = [Mask.from_bitmap(thing.bitmap) for thing in things]
-        words = [("", SCORE)] * len(masks) if rgb is None else self._words(rgb, things, masks)
+        extents = [extent_of(mask, parts.z, frame.rig.color) for mask in masks]
+        words = [Words()] * len(masks) if rgb is None else self._words(rgb, things, masks, extents)
         colors = [""] * len(masks) if rgb is None else colors_of(rgb, masks)
         sure = self._offline.support_pixels * working_step(frame.rig.color) ** 2
         return tuple(
-            _captioned(mask, _kind(thing, mask, parts, sure), thing, parts, word, color)
-            for mask, thing, word, color in zip(masks, things, words, colors, strict=True)
+            captioned(mask, _kind(thing, mask, parts, sure), _form(thing, parts), extent, said, color)
+            for mask, thing, extent, said, color in zip(masks, things, extents, words, colors, strict=True)
         )
 
     def _left(self, parts: Parts, found: Sequence[Thing], scale: int) -> list[Thing]:
@@ -83,24 +100,30 @@ class Offline:
             and label not in taken
         ]
 
-    def _words(self, rgb: NDArray[np.uint8], things: Sequence[Thing], masks: Sequence[Mask]) -> list[Word]:
-        """A sure detector's word where its box is the mask's; else the classifier's; else the detector's."""
+    def _words(
+        self, rgb: NDArray[np.uint8], things: Sequence[Thing], masks: Sequence[Mask], extents: Sequence[float]
+    ) -> list[Words]:
+        """A sure detector's word where its box is the mask's; else the classifier's; else the detector's.
+
+        Of both only words that fit the size. The classifier's other nouns are kept as what the thing may be as well."""
         p = self._offline
-        words = [_word_of_box(thing.box, mask) for thing, mask in zip(things, masks, strict=True)]
-        unsure = [i for i, (_, score) in enumerate(words) if score < p.word_sure]
-        classified = self._namer(rgb, [masks[i] for i in unsure])
-        for i, (noun, probability) in zip(unsure, classified, strict=True):
-            if probability >= p.word_classified:
-                words[i] = noun, probability
-            elif words[i][1] < p.word_likely:
-                words[i] = "", SCORE
+        detected = [_word_of_box(thing.box, mask, e) for thing, mask, e in zip(things, masks, extents, strict=True)]
+        words = [Words(word) for word in detected]
+        unsure = [i for i, (_, score) in enumerate(detected) if score < p.word_sure]
+        for i, nouns in zip(unsure, self._namer(rgb, [masks[i] for i in unsure]), strict=True):
+            likely = [(noun, probability) for noun, probability in nouns if fits(noun, extents[i])]
+            if likely and likely[0][1] >= p.word_classified:
+                word = likely[0]
+            else:
+                word = detected[i] if detected[i][1] >= p.word_likely else ("", SCORE)
+            words[i] = Words(word, tuple((noun, UNSURE * score) for noun, score in likely if noun != word[0]))
         return words
 
 
-def _word_of_box(box: Box | None, mask: Mask) -> Word:
+def _word_of_box(box: Box | None, mask: Mask, extent: float) -> Word:
     if box is None or box_iou(np.array(box.corners), np.array(mask.box, np.float64)) < AGREE:
         return "", 0.0
-    return box.label, box.score
+    return (box.label, box.score) if fits(box.label, extent) else ("", 0.0)
 
 
 def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
@@ -111,10 +134,16 @@ def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
     return "support" if stands and mask.area >= sure else "region"
 
 
-def _captioned(mask: Mask, kind: MaskKind, thing: Thing, parts: Parts, word: Word, color: str) -> Mask:
-    """The mask with its kind, scores and words."""
-    noun, score = word
-    form = parts.form.get(thing.regions[0], NO_FORM) if thing.regions else NO_FORM
+def _form(thing: Thing, parts: Parts) -> Form:
+    return parts.form.get(thing.regions[0], NO_FORM) if thing.regions else NO_FORM
+
+
+def captioned(mask: Mask, kind: MaskKind, form: Form, extent: float, said: Words, color: str) -> Mask:
+    """The mask with its kind, scores and words. extent: its size in metres."""
+    (noun, score), others = said.word, said.others
+    hangs = kind == "support" and form.place == "on the wall" and form.thing == "vertical surface"
+    if hangs and not noun and PICTURE_SIZE[0] < extent < PICTURE_SIZE[1]:
+        others = (*others, PICTURE)
     return dataclasses.replace(
         mask,
         score=SCORE,
@@ -123,6 +152,7 @@ def _captioned(mask: Mask, kind: MaskKind, thing: Thing, parts: Parts, word: Wor
         caption_score=score,
         named=bool(noun),
         kind=kind,
+        alternatives=tuple((other, Form("", other, "").caption(color), score) for other, score in others),
     )
 
 

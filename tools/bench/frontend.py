@@ -17,9 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from openvox.apps.scoring.instances import Overlaps
+from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.core.types import Frame, Mask
+from openvox.formats.map_npz import read_map
 from openvox.formats.perception import read_masks
 from openvox.formats.recording import read_frames, recording_info
+from openvox.formats.truth import read_truth
 
 VISIBLE = 1000
 SIZES = (4000, 20000)
@@ -98,25 +102,48 @@ def objects(
     return out
 
 
+def names(map_file: Path, scene: Path, weight: Counter[int]) -> tuple[str, str]:
+    """Share of what is visible (an object once in each frame) whose instance in the map is named rightly, and of those
+    named at all. An object's instance is that of the highest IoU, above 0.25. weight: frames in which an object is."""
+    result, truth = read_map(map_file), read_truth(scene, None)
+    overlaps = Overlaps.count(truth.instance, labels_of_rows(rows_at_points(truth.points, result), result))
+    called = {one.id: one.caption if one.named else "" for one in result.instances}
+    count: Counter[str] = Counter()
+    for number, iou in zip(overlaps.true_ids.tolist(), overlaps.iou(), strict=True):
+        best = int(iou.argmax())
+        caption = called[int(overlaps.ids[best])] if iou[best] > 0.25 else ""
+        category = truth.categories[int(np.bincount(truth.category[truth.instance == number]).argmax())]
+        right = any(caption.endswith(f" {word}") for word in SYNONYMS.get(category, ()))
+        count["right" if right else "wrong" if caption else "none"] += weight[number]
+    return f"{count['right'] / count.total():.2f}", f"{count['right'] / max(1, count['right'] + count['wrong']):.2f}"
+
+
+def seen(recording: Path) -> Counter[int]:
+    """In how many frames each object is visible."""
+    return Counter(number for frame in read_frames(recording, stride=STRIDE) for number in visible(frame).tolist())
+
+
 def chain(recording: Path, perception: Path, scene: Path, preset: str) -> tuple[str, ...]:
     """Mapped and scored."""
     with tempfile.TemporaryDirectory() as name:
         stem = Path(name) / "run"
         openvox("replay", recording, "--perception", perception, "--preset", preset, "--out", stem)
         scored = openvox("evaluate", f"{stem}.map.npz", "--truth", scene)
+        named = names(Path(f"{stem}.map.npz"), scene, seen(recording))
     found, recall = scored["instances"], scored["retrieval"]["all"]
     return (
         *(f"{found[key]:.3f}" for key in ("ap", "ap50", "ap25", "f50", "miou", "spill", "missed_share")),
         *(f"{found['predicted']}/{found['true']}", str(found["split"]), str(found["merged"])),
         *(f"{recall[key]:.2f}" for key in ("r1", "r2", "r3")),
         *(f"{scored['retrieval'][key]['r1']:.2f}" for key in ("ontology", "relevance", "functionality")),
+        *named,
     )
 
 
 REGIONS = ("room", "R@.5", "IoU", "by size", "masks (useless)", "right", "right of given", "missing", "elsewhere")
 CHAIN = (
     *("room", "masks", "preset", "AP", "AP50", "AP25", "f50", "mIoU", "spill", "missed", "instances", "split"),
-    *("merged", "R@1", "R@2", "R@3", "ont.", "rel.", "func."),
+    *("merged", "R@1", "R@2", "R@3", "ont.", "rel.", "func.", "named right", "of named"),
 )
 
 
