@@ -297,11 +297,18 @@ class Twin:
                 moved.append(self.votes[voxel][piece] // self.worth(voxel))
         factor = round(self.p.evolution.cut_inheritance * MILLION)
         inherited = factor * sum(moved) // (MILLION * max(1, len(moved)))
-        self.together[f, piece] += max(inherited, self.p.evolution.cut_least)
+        self.count(self.together, (f, piece), max(inherited, self.p.evolution.cut_least))
         choice.held = choice.held - {f} | {piece}
         if choice.main == f:
             choice.main, choice.by, choice.chosen = piece, "cut", None
             choice.visibility, choice.credibility = ONE, 4096
+
+    def count(self, counts: Counter[Pair], pair: Pair, amount: int) -> None:
+        """Add to a pair's count; many are halved, both kinds."""
+        counts[pair] += amount
+        if 0 < self.p.lifecycle.halving < self.together[pair] + self.apart[pair]:
+            self.together[pair] //= 2
+            self.apart[pair] //= 2
 
     def count_pairs(
         self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]
@@ -325,7 +332,7 @@ class Twin:
                     shown = [len(areas[m]) * voxels[h] // max(1, len(view.under[m])) for h in (f, g)]
                     unclear = regions and min(shown) < self.p.lifecycle.clear_pixels
                     amounts.append((6 if said else 2) // (2 if unclear else 1))
-                self.together[f, g] += max(amounts)
+                self.count(self.together, (f, g), max(amounts))
                 continue
             amounts = []
             for a, b in product(holders[f], holders[g]):
@@ -335,7 +342,7 @@ class Twin:
                 if {a, b} <= regions or {a, b} <= supports:  # may be pieces of one thing
                     amount = int(only_regions)
                 amounts.append(amount)
-            self.apart[f, g] += max(amounts)
+            self.count(self.apart, (f, g), max(amounts))
 
     def count_omissions(
         self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]
@@ -358,7 +365,7 @@ class Twin:
                 and 4 * common[m][g] < in_view[g]
             ]
             if says:
-                self.apart[min(f, g), max(f, g)] += self.p.lifecycle.omission
+                self.count(self.apart, (min(f, g), max(f, g)), self.p.lifecycle.omission)
 
     def vote(self, view: View, choices: Sequence[Choice]) -> set[Voxel]:
         """Eq. 14: every voxel under a mask votes; with the background rule, voxels under none as well."""

@@ -158,6 +158,7 @@ def parameters(draw: st.DrawFn) -> MapperParameters:
         "evolution.near": [6.0, 0.0, 2.5],
         "lifecycle.contradiction": [1.0, 1.5],
         "lifecycle.nested": [0.3, 0.7],
+        "lifecycle.halving": [200, 3, 10],
         "finish.smoothing": [0, 1, 3],
         "masks.window": [0, 1],
         "association.slots": [0, 1, 2],

@@ -272,6 +272,20 @@ def test_a_cut_piece_does_not_remember_what_was_said_of_the_whole() -> None:
     assert [summary.caption for summary in result.instances] == ["a bed", "a cat"]
 
 
+def test_a_camera_that_stood_still_before_a_weld_still_learns_better() -> None:
+    # without halving T = 20 + 2 x 130 against S = 2 x 60; with it T goes 20 .. 200, 100 .. 180, and halves once more
+    masks = [(BOTH,)] * 3 + APART + [(BOTH,)] * 130 + APART * 60
+    frames = [(wall(i, rig=Rig(WIDE, WIDE)), found) for i, found in enumerate(masks)]
+    instances = [
+        [
+            len(set(step.instance_of.values()))
+            for step in mapped(frames, updated(OPENVOX, {"lifecycle.halving": n}, source="test"))[0]
+        ]
+        for n in (200, 0)
+    ]
+    assert [each[-1] for each in instances] == [2, 1]
+
+
 def test_one_more_mask_over_both_boxes_does_not_weld_them_again() -> None:
     frames = [(wall(i, rig=Rig(WIDE, WIDE)), found) for i, found in enumerate(WELD + APART * 12 + [(BOTH,)])]
     before, after = (mapped(frames[:n], OPENVOX)[1].voxel_instance for n in (22, 23))

@@ -170,6 +170,15 @@ class LifecycleParameters:
     contradiction: float = parameter(
         1.0, "factor", 0.0, 100.0, needs="lifecycle.evidence", why="weight of apart against together"
     )
+    halving: int = parameter(
+        200,
+        "counts",
+        0,
+        1_000_000,
+        needs="lifecycle.evidence",
+        why="above so many counts of a pair, together and apart are halved: a camera that stands still proves nothing for ever; "
+        "0 = never",
+    )
     nested: float = parameter(
         0.7,
         "share",

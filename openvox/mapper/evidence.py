@@ -28,6 +28,7 @@ class Evidence:
     def __init__(self, parameters: LifecycleParameters) -> None:
         self._contradiction = round(16 * parameters.contradiction)
         self._use_captions = parameters.captions
+        self._halving = parameters.halving
         self.together: dict[Pair, int] = {}
         self.apart: dict[Pair, int] = {}
         self._neighbours: dict[int, set[int]] = {}
@@ -52,8 +53,7 @@ class Evidence:
 
     def add_together(self, f: int, g: int, amount: int) -> None:
         """f and g lay in one mask."""
-        key = pair(f, g)
-        self.together[key] = self.together.get(key, 0) + amount
+        self._count(self.together, pair(f, g), amount)
         self._neighbours[f].add(g)
         self._neighbours[g].add(f)
 
@@ -63,8 +63,14 @@ class Evidence:
 
     def add_apart(self, f: int, g: int, amount: int) -> None:
         """f and g lay in different masks of one frame."""
-        key = pair(f, g)
-        self.apart[key] = self.apart.get(key, 0) + amount
+        self._count(self.apart, pair(f, g), amount)
+
+    def _count(self, counts: dict[Pair, int], key: Pair, amount: int) -> None:
+        counts[key] = counts.get(key, 0) + amount
+        if 0 < self._halving < self.together.get(key, 0) + self.apart.get(key, 0):
+            for each in (self.together, self.apart):
+                if key in each:
+                    each[key] >>= 1
 
     def kept_apart(self, f: int, g: int) -> bool:
         """True if f and g were seen apart, and not more often together."""
