@@ -306,7 +306,7 @@ class Twin:
     def count(self, counts: Counter[Pair], pair: Pair, amount: int) -> None:
         """Add to a pair's count; many are halved, both kinds."""
         counts[pair] += amount
-        if 0 < self.p.lifecycle.halving < self.together[pair] + self.apart[pair]:
+        if amount and 0 < self.p.lifecycle.halving < self.together[pair] + self.apart[pair]:
             self.together[pair] //= 2
             self.apart[pair] //= 2
 

@@ -66,11 +66,16 @@ def mean_theta(voxels: Collection[Voxel], share: Mapping[Voxel, int]) -> int:
     return sum(share[voxel] for voxel in voxels) // len(voxels)
 
 
-def existence(theta: int, group: list[Piece], everything: Collection[Piece]) -> int:
-    """Mean theta times k/(k+2), k/v and the squared relative score: k frames matched it, v frames saw it."""
+def existence(share: int, group: list[Piece], everything: Collection[Piece]) -> int:
+    """Share of all votes times k/(k+2), the root of k/v and the squared relative score: k frames matched it, v saw it."""
     matched, seen = frames(group)
-    k, v = len(matched), max(1, len(seen))
-    return theta * k * k * relative(group, everything) ** 2 // ((k + 2) * v) // ONE**2
+    k, root = len(matched), math.isqrt(len(matched) * ONE**2 // max(1, len(seen)))
+    return share * root * k * relative(group, everything) ** 2 // (k + 2) // ONE**3
+
+
+def vote_share(instance: int, voxels: Collection[Voxel], sums: Mapping[Voxel, Counter[int]]) -> int:
+    """Of all votes in the voxels, the share that is the instance's."""
+    return sum(sums[v][instance] for v in voxels) * ONE // max(1, sum(sums[v].total() for v in voxels))
 
 
 def relative(group: list[Piece], everything: Collection[Piece]) -> int:
@@ -87,8 +92,7 @@ def overlap(instance: int, shown: Mapping[Voxel, int], sums: Mapping[Voxel, Coun
     faces = [(voxel, other) for voxel in voxels for face in FACES if (other := beside(voxel, face)) in shown]
     p = len(faces) * ONE
     d = sum(unsure[voxel] + unsure[other] for voxel, other in faces if shown[other] != instance)
-    votes, everything = sum(sums[v][instance] for v in voxels), sum(sums[v].total() for v in voxels)
-    share = votes * ONE // max(1, everything)
+    share = vote_share(instance, voxels, sums)
     return share * score * k * max(0, p - d) // ((k + 2) * max(1, p + d)) // ONE
 
 
@@ -140,7 +144,7 @@ def finish(
         kept = kept_voxels(voxels, group, p.finish) if p.finish.existence else voxels
         if kept:
             theta = mean_theta(kept, {voxel: share(voxel) for voxel in kept})
-            sure = existence(theta, group, fragments.values())
+            sure = existence(vote_share(instance, kept, sums), group, fragments.values())
             ranks[instance] = theta
             if p.finish.existence and p.finish.ranking == "matches":
                 ranks[instance] = theta * len(frames(group)[0]) // (len(frames(group)[0]) + 2)

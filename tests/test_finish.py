@@ -230,11 +230,12 @@ def test_frames_that_matched_several_fragments_of_an_instance_count_once() -> No
     assert result.instances[0].observations == 3
 
 
-@pytest.mark.parametrize(("floor", "exists"), [(0.25, True), (0.251, False)])
+@pytest.mark.parametrize(("floor", "exists"), [(0.1875, True), (0.188, False)])
 def test_objects_whose_existence_is_below_the_floor_are_dropped(floor: float, exists: bool) -> None:
-    fragments = {1: fragment(1, matched=0b0011, seen=0b1110, score=0.5)}
-    result = finished(line({1: 2}), {1: 1}, openvox(min_confidence=floor), fragments)
-    assert result.voxel_instance.tolist() == ([1] if exists else [0])
+    # 3/4 of the votes, matched in k = 2 of v = 8 frames: 3/4 x 2/4 x the root of 2/8
+    fragments = {1: fragment(1, matched=0b11, seen=0b11111111)}
+    result = finished(line({1: 6, 0: 2}, {1: 6, 0: 2}), {1: 1}, openvox(min_confidence=floor), fragments)
+    assert result.voxel_instance.tolist() == ([1, 1] if exists else [0, 0])
 
 
 # ---- features -------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from openvox.core.types import Event, InstanceMap, InstanceSummary
 from openvox.core.voxels import rows_of, voxel_index, voxel_key
 from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
-from openvox.mapper.ranking import FACES, existence, expected_overlap, relative_scores
+from openvox.mapper.ranking import FACES, existence, expected_overlap, relative_scores, vote_shares
 
 Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
@@ -46,12 +46,13 @@ def finished_map(
     total = np.bincount(row[~bare], count[~bare], len(keys)).astype(np.int64)
     vetoed = np.bincount(row[bare], count[bare], len(keys)) > total
     shown = np.where(vetoed | (total < parameters.finish.min_votes), 0, shown)
-    share = _share(_own(own_row, own_id, own_count, shown), total)
+    own = _own(own_row, own_id, own_count, shown)
+    share = _share(own, total)
     gone: dict[int, str] = {}
     shown = _existing(shown, keys, memories, parameters.finish, gone)
     theta = _mean_theta(shown, share)
     scores = relative_scores(memories)
-    sure = existence(theta, memories, scores)
+    sure = existence(vote_shares(shown, own, total), memories, scores)
     if parameters.finish.existence:
         shown = _sure(shown, sure, parameters.finish.min_confidence, gone)
     own = _own(own_row, own_id, own_count, shown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,30 +28,39 @@ def relative_scores(memories: Mapping[int, Memory]) -> dict[int, int]:
     }
 
 
-def existence(theta: Mapping[int, int], memories: Mapping[int, Memory], scores: Mapping[int, int]) -> dict[int, int]:
-    """How surely each shown instance is a thing, Q20: mean theta x k/(k+2) x k/v x the square of its relative score
-    (k frames matched, v frames that saw it)."""
+def vote_shares(shown: Longs, own: Longs, total: Longs) -> dict[int, int]:
+    """Of all votes in the voxels of each shown instance, the share that is its own, Q20, ids ascending.
+
+    own, total (voxels,): votes for what the voxel shows, and all."""
+    votes, everything = _sums(shown, own), _sums(shown, total)
+    return {i: (votes[i] << 20) // max(1, everything[i]) for i in np.flatnonzero(np.bincount(shown)).tolist() if i}
+
+
+def existence(shares: Mapping[int, int], memories: Mapping[int, Memory], scores: Mapping[int, int]) -> dict[int, int]:
+    """How surely each shown instance is a thing, Q20: its share of votes x k/(k+2) x the root of k/v x the square of its
+    relative score (k frames matched, v frames that saw it).
+
+    The root, as what is hard to see is often missed."""
     out = {}
-    for i, value in theta.items():
+    for i, share in shares.items():
         k, v = memories[i].matched, max(1, memories[i].seen)
-        out[i] = value * k * k * scores[i] ** 2 // ((k + 2) * v) >> 40
+        root = isqrt((k << 40) // v)
+        out[i] = share * root * k * scores[i] ** 2 // (k + 2) >> 60
     return out
 
 
 def expected_overlap(
     shown: Longs, keys: Longs, own: Longs, total: Longs, memories: Mapping[int, Memory], scores: Mapping[int, int]
 ) -> dict[int, int]:
-    """The overlap with a true thing that each shown instance may hope for, Q20: its share of all votes in its voxels x
-    (p - d)/(p + d) x k/(k+2) x its relative score (k frames matched).
+    """The overlap with a true thing that each shown instance may hope for, Q20: its share of votes x (p - d)/(p + d) x
+    k/(k+2) x its relative score (k frames matched).
 
     Errors lie at the outline. Of the p faces between its voxels and voxels of the map, those to something else are in
     doubt as far as the votes on either side disagree, d in sum: if so much of it is wrong, and as much is missing, the
     overlap is (p - d)/(p + d). own, total (voxels,): votes for what the voxel shows, and all."""
     faces, doubt = _outlines(shown, keys, fixedpoint.Q20 - (own << 20) // np.maximum(total, 1))
-    votes, everything = _sums(shown, own), _sums(shown, total)
     out = {}
-    for i in [i for i in np.flatnonzero(np.bincount(shown)).tolist() if i]:
-        share = (votes[i] << 20) // max(1, everything[i])
+    for i, share in vote_shares(shown, own, total).items():
         k, p, d = memories[i].matched, faces[i] << 20, doubt[i]
         out[i] = share * scores[i] * k * max(0, p - d) // ((k + 2) * max(1, p + d)) >> 20
     return out
