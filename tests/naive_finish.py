@@ -67,7 +67,7 @@ def mean_theta(voxels: Collection[Voxel], share: Mapping[Voxel, int]) -> int:
 
 
 def existence(share: int, group: list[Piece], everything: Collection[Piece]) -> int:
-    """Share of all votes times k/(k+2), the root of k/v and the squared relative score: k frames matched it, v saw it."""
+    """Share of votes times k/(k+2), root of k/v and squared relative score: k frames matched it, v saw it."""
     matched, seen = frames(group)
     k, root = len(matched), math.isqrt(len(matched) * ONE**2 // max(1, len(seen)))
     return share * root * k * relative(group, everything) ** 2 // (k + 2) // ONE**3

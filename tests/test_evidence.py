@@ -20,7 +20,7 @@ PAIRS = st.tuples(st.sampled_from(NODES), st.sampled_from(NODES)).filter(lambda 
 
 def fragment(f: int, *feature: int) -> Fragment:
     part = Fragment(f, 0, 0, np.zeros(len(feature), np.int64))
-    part.observe(1, np.array(feature, np.int64), "", 0)
+    part.observe(1, np.array(feature, np.int64), ())
     return part
 
 
