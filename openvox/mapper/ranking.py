@@ -37,8 +37,8 @@ def vote_shares(shown: Longs, own: Longs, total: Longs) -> dict[int, int]:
 
 
 def existence(shares: Mapping[int, int], memories: Mapping[int, Memory], scores: Mapping[int, int]) -> dict[int, int]:
-    """How surely each shown instance is a thing, Q20: its share of votes x k/(k+2) x the root of k/v x the square of its
-    relative score (k frames matched, v frames that saw it).
+    """How surely each shown instance is a thing, Q20: its share of votes x k/(k+2) x the root of k/v x the square of
+    its relative score (k frames matched, v frames that saw it).
 
     The root, as what is hard to see is often missed."""
     out = {}
