@@ -19,7 +19,9 @@ from openvox.apps.scoring.calibration import expected_calibration_error
 from openvox.apps.scoring.instances import Overlaps
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.scoring.rendered import score_rendered
+from openvox.apps.scoring.seen import filled
 from openvox.apps.scoring.semantics import class_means, read_classes, recalls, retrieve, score_semantics
+from openvox.apps.scoring.truth_images import truth_images
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, InstanceMap, Intrinsics, Mask, Pose, Rig
 from openvox.formats.map_npz import write_map
@@ -364,6 +366,22 @@ def test_rendered_masks_are_compared_with_every_object_of_a_hundred_pixels(tmp_p
         assert rendered is not None
         assert rendered.iou == pytest.approx(expected)
         assert rendered.detected_iou is None
+
+
+def test_a_hole_in_the_depth_shows_what_lies_beside_it() -> None:
+    depth = np.array([[0, 1000, 0, 0, 2000]], np.uint16)
+    assert filled(depth).tolist() == [[1000, 1000, 1000, 2000, 2000]]
+
+
+def test_without_depth_in_the_same_pixels_voxels_are_drawn_as_cubes(tmp_path: Path) -> None:
+    _, folder = wall_truth(tmp_path)
+    np.savetxt(folder / "intrinsic" / "intrinsic_depth.txt", np.diag([21.0, 21.0, 1.0, 1.0]))
+    (image,) = truth_images(folder)
+    assert image.depth is None
+    assert image.camera == WALL_CAMERA
+    rendered = score_rendered(wall_map(range(5)), folder, None)
+    assert rendered is not None
+    assert rendered.iou == pytest.approx(0.5)
 
 
 def perceived(path: Path, recording: Path, masks: Sequence[NDArray[np.bool_]], frame: int = 6) -> Path:

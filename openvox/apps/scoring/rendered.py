@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.apps.scoring.seen import SeenMap
 from openvox.apps.scoring.truth_images import TruthImage, count_images, truth_images
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap, Mask
@@ -31,17 +32,14 @@ def score_rendered(
     result: InstanceMap, truth: Path, perception: Path | None, progress: Callable[[int, int], None] | None = None
 ) -> RenderedMasks | None:
     """None where the truth has no pictures. perception: the map's own, if it is there. Raises InputError."""
-    from openvox.view.render import render_map  # compiled code
-
     total = count_images(truth)
     if not total:
         return None
     of_map, of_detections = _Mean(), _Mean()
     masks = _MasksByFrame(perception)
+    seen_map = SeenMap(result)
     for done, image in enumerate(truth_images(truth), 1):
-        seen = render_map(
-            result.voxel_index, result.voxel_instance, result.voxel_size, image.world_from_camera, image.camera
-        )
+        seen = seen_map.labels(image)
         pixels = np.bincount(image.instances.ravel())
         visible = np.flatnonzero(pixels >= MIN_PIXELS)
         visible = visible[visible > 0]
