@@ -65,11 +65,21 @@ def perceived(scene: Path, level: str, seed: int, folder: Path) -> Path:
     return out
 
 
+def points_alone(scene: Path, folder: Path) -> Path:
+    """The scene's truth without its pictures: the masks that they would be compared with are most of the time."""
+    bare = folder / f"{scene.name}-truth"
+    bare.mkdir(exist_ok=True)
+    for name in ("gt_points.npz", "objects.json", "queries.json"):
+        if not (bare / name).exists():
+            (bare / name).symlink_to((scene / name).resolve())
+    return bare
+
+
 def scored(scene: Path, perception: Path, rule: str, preset: str, folder: Path) -> dict[str, Any]:
     stem = str(folder / "run")
     assignments = [text for text in rule.split(",") if text]
     replay(folder / f"{scene.name}.mcap", perception=perception, preset_name=preset, assignments=assignments, out=stem)
-    found: dict[str, Any] = evaluate(Path(f"{stem}.map.npz"), truth=scene)["instances"]
+    found: dict[str, Any] = evaluate(Path(f"{stem}.map.npz"), truth=points_alone(scene, folder))["instances"]
     return found
 
 
