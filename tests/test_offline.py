@@ -11,14 +11,14 @@ from worlds import Box as Solid
 from worlds import encode_color, look_at, render, tiny_frames
 
 from openvox.apps.perceive import perceive
-from openvox.core.types import Alternative, Frame, Intrinsics, Mask, MaskKind, Pose, Rig
+from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
 from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
 from openvox.perception.claims import claims
 from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
 from openvox.perception.namer import GREY, SIDE, Namer, square
 from openvox.perception.nanodet import NanoDet
-from openvox.perception.offline import Offline, Words, captioned, colors_of
+from openvox.perception.offline import EVERYDAY, Offline, Words, captioned, colors_of, guesses
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Plane, Room
@@ -29,7 +29,6 @@ from openvox.perception.wording import Form
 CAMERA = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
 GEOMETRY = GeometryParameters(plane_area=0.3)
 OFFLINE = OfflineParameters()
-NO_WORDS = Words()
 FLOOR = Room((0.0, 0.0, 1.0), (Plane((0.0, 0.0, 1.0), 0.0),))
 TABLE = Solid(1, 7, (-0.8, 1.6, 0.0), (0.8, 2.6, 0.75), (120, 80, 40))
 
@@ -333,18 +332,30 @@ def test_what_else_a_thing_may_be_is_kept_at_half_its_probability(monkeypatch):
     assert words_of(monkeypatch, box_of(0.8), *nouns).alternatives == ()  # the classifier is not asked
 
 
-def test_what_hangs_flat_on_a_wall_may_be_a_picture():
-    """`named` stays false: it may be a window."""
-    mask = Mask.from_bitmap(np.ones((4, 4), np.bool_))
-    form = Form("", "vertical surface", "on the wall")
+def test_what_stands_upright_and_has_no_word_may_be_a_picture_or_a_cabinet():
+    picture, front = Form("", "vertical surface", "on the wall"), Form("large", "vertical surface", "on the floor")
+    assert list(guesses(picture, "support", 0.5)) == ["picture"]
+    assert list(guesses(picture, "region", 0.5)) == []  # no patch that differs from its wall
+    assert list(guesses(picture, "support", 2.0)) == list(guesses(picture, "support", 0.0)) == []
+    assert list(guesses(front, "region", 1.5)) == ["cabinet"]
+    assert list(guesses(replace(front, size=""), "region", 1.0)) == []
+    assert list(guesses(replace(front, thing="object"), "region", 1.5)) == []
 
-    def guess(kind: MaskKind, form: Form, extent: float, words: Words = NO_WORDS) -> tuple[Alternative, ...]:
-        return captioned(mask, kind, form, extent, words, "red").alternatives
 
-    assert guess("support", form, 0.5) == (("picture", "a red picture", 0.1),)
-    assert guess("region", form, 0.5) == guess("support", form, 2.0) == guess("support", form, 0.0) == ()
-    assert guess("support", replace(form, place=""), 0.5) == ()
-    assert guess("support", form, 0.5, Words(("clock", 0.8))) == ()
+def test_a_guess_is_an_alternative_of_a_mask_without_a_word():
+    mask, form = Mask.from_bitmap(np.ones((4, 4), np.bool_)), Form("", "vertical surface", "on the wall")
+    unnamed = captioned(mask, "support", form, 0.5, Words(), "red")
+    assert unnamed.alternatives == (("picture", "a red picture", 0.1),)
+    assert not unnamed.named
+    assert captioned(mask, "support", form, 0.5, Words(("clock", 0.8)), "red").alternatives == ()
+
+
+def test_a_thing_has_one_word_whichever_model_gives_it(monkeypatch):
+    mask = words_of(monkeypatch, box_of(0.8, "couch"))
+    assert (mask.label, mask.caption) == ("sofa", "a white sofa")
+    nouns = set(Namer().nouns)
+    assert set(EVERYDAY.values()) <= nouns
+    assert not set(EVERYDAY) & nouns
 
 
 def test_the_size_of_a_mask_is_the_largest_extent_of_what_depth_shows():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from openvox.apps.uses import use_of
 from openvox.core.types import InstanceMap
 
-SHARPNESS = 0.05
+SHARPNESS = 0.035
 """Cosines that differ by less count nearly alike: one caption of ten that fits well is worth more than ten that fit a
 little."""
 DOUBT = 0.1

@@ -8,7 +8,7 @@ from a classifier; both only where they are mostly right. The rest keeps an hone
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,11 +38,21 @@ Word = tuple[str, float]
 """A noun, "" = none, and how sure it is."""
 UNSURE = 0.5
 """What the classifier's other nouns count beside a given word."""
-PICTURE: Word = ("picture", 0.1)
-"""A guess for what hangs flat on a wall, as no model knows the word; it may be a window, so it makes no name."""
+GUESS = 0.1
+"""What a guess from the form alone counts: too little for a name."""
 PICTURE_SIZE = 0.12, 1.6
 """Metres: larger ones are windows and doors."""
-VERSION = 3
+EVERYDAY = {
+    "couch": "sofa",
+    "tv": "television",
+    "remote": "remote control",
+    "cell phone": "mobile phone",
+    "mouse": "computer mouse",
+    "hair drier": "hair dryer",
+    "sports ball": "ball",
+}
+"""The detector's words for what the classifier calls otherwise: votes for one thing must not be parted."""
+VERSION = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +133,7 @@ class Offline:
 def _word_of_box(box: Box | None, mask: Mask, extent: float) -> Word:
     if box is None or box_iou(np.array(box.corners), np.array(mask.box, np.float64)) < AGREE:
         return "", 0.0
-    return (box.label, box.score) if fits(box.label, extent) else ("", 0.0)
+    return (EVERYDAY.get(box.label, box.label), box.score) if fits(box.label, extent) else ("", 0.0)
 
 
 def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
@@ -138,12 +148,20 @@ def _form(thing: Thing, parts: Parts) -> Form:
     return parts.form.get(thing.regions[0], NO_FORM) if thing.regions else NO_FORM
 
 
+def guesses(form: Form, kind: MaskKind, extent: float) -> Iterator[str]:
+    """What stands upright and has no word may be what no model knows: a picture (or window), the front of a cabinet."""
+    if form.thing == "vertical surface":
+        if form.place != "on the wall" and form.size == "large":
+            yield "cabinet"
+        if form.place == "on the wall" and kind == "support" and PICTURE_SIZE[0] < extent < PICTURE_SIZE[1]:
+            yield "picture"
+
+
 def captioned(mask: Mask, kind: MaskKind, form: Form, extent: float, said: Words, color: str) -> Mask:
     """The mask with its kind, scores and words. extent: its size in metres."""
     (noun, score), others = said.word, said.others
-    hangs = kind == "support" and form.place == "on the wall" and form.thing == "vertical surface"
-    if hangs and not noun and PICTURE_SIZE[0] < extent < PICTURE_SIZE[1]:
-        others = (*others, PICTURE)
+    if not noun:
+        others = (*others, *((guess, GUESS) for guess in guesses(form, kind, extent)))
     return dataclasses.replace(
         mask,
         score=SCORE,
