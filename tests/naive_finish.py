@@ -67,15 +67,16 @@ def mean_theta(voxels: Collection[Voxel], share: Mapping[Voxel, int]) -> int:
 
 
 def existence(share: int, group: list[Piece], everything: Collection[Piece]) -> int:
-    """Share of votes times k/(k+2), root of k/v and squared relative score: k frames matched it, v saw it."""
+    """Overlap of votes times k/(k+2), root of k/v and squared relative score: k frames matched it, v saw it."""
     matched, seen = frames(group)
     k, root = len(matched), math.isqrt(len(matched) * ONE**2 // max(1, len(seen)))
     return share * root * k * relative(group, everything) ** 2 // (k + 2) // ONE**3
 
 
-def vote_share(instance: int, voxels: Collection[Voxel], sums: Mapping[Voxel, Counter[int]]) -> int:
-    """Of all votes in the voxels, the share that is the instance's."""
-    return sum(sums[v][instance] for v in voxels) * ONE // max(1, sum(sums[v].total() for v in voxels))
+def vote_overlap(instance: int, voxels: Collection[Voxel], sums: Mapping[Voxel, Counter[int]]) -> int:
+    """Its votes in its voxels, over all votes in them and its own elsewhere."""
+    inside, own = sum(sums[v][instance] for v in voxels), sum(counts[instance] for counts in sums.values())
+    return inside * ONE // max(1, sum(sums[v].total() for v in voxels) + own - inside)
 
 
 def relative(group: list[Piece], everything: Collection[Piece]) -> int:
@@ -86,13 +87,13 @@ def relative(group: list[Piece], everything: Collection[Piece]) -> int:
 
 
 def overlap(instance: int, shown: Mapping[Voxel, int], sums: Mapping[Voxel, Counter[int]], k: int, score: int) -> int:
-    """Share of all votes times (p - d)/(p + d), k/(k+2) and the relative score: p faces, d of them in doubt."""
+    """Overlap of votes times (p - d)/(p + d), k/(k+2) and the relative score: p faces, d of them in doubt."""
     unsure = {voxel: ONE - sums[voxel][i] * ONE // max(1, sums[voxel].total()) for voxel, i in shown.items()}
     voxels = [voxel for voxel in shown if shown[voxel] == instance]
     faces = [(voxel, other) for voxel in voxels for face in FACES if (other := beside(voxel, face)) in shown]
     p = len(faces) * ONE
     d = sum(unsure[voxel] + unsure[other] for voxel, other in faces if shown[other] != instance)
-    share = vote_share(instance, voxels, sums)
+    share = vote_overlap(instance, voxels, sums)
     return share * score * k * max(0, p - d) // ((k + 2) * max(1, p + d)) // ONE
 
 
@@ -144,7 +145,7 @@ def finish(
         kept = kept_voxels(voxels, group, p.finish) if p.finish.existence else voxels
         if kept:
             theta = mean_theta(kept, {voxel: share(voxel) for voxel in kept})
-            sure = existence(vote_share(instance, kept, sums), group, fragments.values())
+            sure = existence(vote_overlap(instance, kept, sums), group, fragments.values())
             ranks[instance] = theta
             if p.finish.existence and p.finish.ranking == "matches":
                 ranks[instance] = theta * len(frames(group)[0]) // (len(frames(group)[0]) + 2)

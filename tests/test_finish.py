@@ -192,10 +192,10 @@ def test_a_thing_whose_outline_nobody_disputes_is_all_right() -> None:
 
 
 def test_doubt_on_both_sides_of_the_outline_counts() -> None:
-    # three voxels, votes 8, 8 and 6 of 8: share 22/24; 5 faces to voxels of the map: four inside, one to background,
-    # where 1/4 of the votes on this side and 1/4 on that side disagree: d = 1/2, (5 - 1/2)/(5 + 1/2) = 9/11
+    # three voxels, votes 8, 8 and 6 of 8, and 2 elsewhere: 22/(24 + 2); 5 faces to voxels of the map: four inside, one
+    # to background, where 1/4 of the votes on either side disagree: d = 1/2, (5 - d)/(5 + d) = 9/11
     result = finished(line({1: 8}, {1: 8}, {1: 6, 0: 2}, {0: 6, 1: 2}), {1: 1}, openvox(), {1: fragment(1, matched=3)})
-    assert result.instance_confidence[0] == pytest.approx(22 / 24 * 9 / 11 * 2 / 4, abs=1e-5)
+    assert result.instance_confidence[0] == pytest.approx(22 / 26 * 9 / 11 * 2 / 4, abs=1e-5)
 
 
 def test_a_small_thing_in_doubt_hopes_for_less_than_a_large_one() -> None:

@@ -245,7 +245,7 @@ class FinishParameters:
         why="loose parts below this share of their object are dropped",
     )
     min_confidence: float = parameter(
-        0.28, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
+        0.22, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
     )
     ranking: str = parameter(
         "overlap",

@@ -14,7 +14,7 @@ from openvox.core.types import Event, InstanceMap, InstanceSummary
 from openvox.core.voxels import rows_of, voxel_index, voxel_key
 from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.life import Life, exists, members_of
-from openvox.mapper.ranking import FACES, existence, expected_overlap, relative_scores, vote_shares
+from openvox.mapper.ranking import FACES, existence, expected_overlap, relative_scores, sums, vote_shares
 
 Longs = NDArray[np.int64]
 Ints = NDArray[np.int32]
@@ -52,21 +52,24 @@ def finished_map(
     shown = _existing(shown, keys, memories, parameters.finish, gone)
     theta = _mean_theta(shown, share)
     scores = relative_scores(memories)
-    sure = existence(vote_shares(shown, own, total), memories, scores)
+    shares = vote_shares(shown, own, total, sums(own_id, own_count))
+    sure = existence(shares, memories, scores)
     if parameters.finish.existence:
         shown = _sure(shown, sure, parameters.finish.min_confidence, gone)
     own = _own(own_row, own_id, own_count, shown)
     share = _share(own, total)
+    kept = [i for i in np.unique(shown).tolist() if i > 0]
     ranking = parameters.finish.ranking if parameters.finish.existence else "share"
     if ranking == "overlap":
-        confidence = expected_overlap(shown, keys, own, total, memories, scores)
+        confidence = expected_overlap(
+            shown, keys, fixedpoint.Q20 - share, {i: shares[i] for i in kept}, memories, scores
+        )
     elif ranking == "existence":
         confidence = sure
     elif ranking == "matches":
         confidence = {i: value * memories[i].matched // (memories[i].matched + 2) for i, value in theta.items()}
     else:
         confidence = theta
-    kept = [i for i in np.unique(shown).tolist() if i > 0]
     index = voxel_index(keys)
     used = np.unique(fragment[fragment > 0])
     size = parameters.map.voxel_size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isqrt
 
 import numpy as np
@@ -28,17 +28,21 @@ def relative_scores(memories: Mapping[int, Memory]) -> dict[int, int]:
     }
 
 
-def vote_shares(shown: Longs, own: Longs, total: Longs) -> dict[int, int]:
-    """Of all votes in the voxels of each shown instance, the share that is its own, Q20, ids ascending.
+def vote_shares(shown: Longs, own: Longs, total: Longs, votes: Sequence[int]) -> dict[int, int]:
+    """The overlap of votes of each shown instance, Q20, ids ascending: its votes in its voxels, over all votes in them
+    and its own elsewhere.
 
-    own, total (voxels,): votes for what the voxel shows, and all."""
-    votes, everything = _sums(shown, own), _sums(shown, total)
-    return {i: (votes[i] << 20) // max(1, everything[i]) for i in np.flatnonzero(np.bincount(shown)).tolist() if i}
+    own, total (voxels,): votes for what the voxel shows, and all; votes: all of each instance, by id."""
+    inside, everything = sums(shown, own), sums(shown, total)
+    out = {}
+    for i in np.unique(shown[shown > 0]).tolist():
+        out[i] = (inside[i] << 20) // max(1, everything[i] + votes[i] - inside[i])
+    return out
 
 
 def existence(shares: Mapping[int, int], memories: Mapping[int, Memory], scores: Mapping[int, int]) -> dict[int, int]:
-    """How surely each shown instance is a thing, Q20: its share of votes x k/(k+2) x the root of k/v x the square of
-    its relative score (k frames matched, v frames that saw it).
+    """How surely each shown instance is a thing, Q20: the overlap of its votes x k/(k+2) x the root of k/v x the square
+    of its relative score (k frames matched, v frames that saw it).
 
     The root, as what is hard to see is often missed."""
     out = {}
@@ -50,17 +54,22 @@ def existence(shares: Mapping[int, int], memories: Mapping[int, Memory], scores:
 
 
 def expected_overlap(
-    shown: Longs, keys: Longs, own: Longs, total: Longs, memories: Mapping[int, Memory], scores: Mapping[int, int]
+    shown: Longs,
+    keys: Longs,
+    unsure: Longs,
+    shares: Mapping[int, int],
+    memories: Mapping[int, Memory],
+    scores: Mapping[int, int],
 ) -> dict[int, int]:
-    """The overlap with a true thing that each shown instance may hope for, Q20: its share of votes x (p - d)/(p + d) x
+    """The overlap with a true thing that each shown instance may hope for, Q20: that of its votes x (p - d)/(p + d) x
     k/(k+2) x its relative score (k frames matched).
 
     Errors lie at the outline. Of the p faces between its voxels and voxels of the map, those to something else are in
     doubt as far as the votes on either side disagree, d in sum: if so much of it is wrong, and as much is missing, the
-    overlap is (p - d)/(p + d). own, total (voxels,): votes for what the voxel shows, and all."""
-    faces, doubt = _outlines(shown, keys, fixedpoint.Q20 - (own << 20) // np.maximum(total, 1))
+    overlap is (p - d)/(p + d). unsure (voxels,): share of votes for other than what the voxel shows, Q20."""
+    faces, doubt = _outlines(shown, keys, unsure)
     out = {}
-    for i, share in vote_shares(shown, own, total).items():
+    for i, share in shares.items():
         k, p, d = memories[i].matched, faces[i] << 20, doubt[i]
         out[i] = share * scores[i] * k * max(0, p - d) // ((k + 2) * max(1, p + d)) >> 20
     return out
@@ -82,9 +91,8 @@ def _outlines(shown: Longs, keys: Longs, unsure: Longs) -> tuple[list[int], list
     return faces.tolist(), doubt.tolist()
 
 
-def _sums(shown: Longs, values: Longs) -> list[int]:
-    """Sum of the voxels' values by instance."""
-    out = np.zeros(int(shown.max(initial=0)) + 1, np.int64)
-    np.add.at(out, shown, values)
-    sums: list[int] = out.tolist()
-    return sums
+def sums(instance: NDArray[np.integer], values: Longs) -> list[int]:
+    """Sum of the values of each instance, by id."""
+    out = np.zeros(int(instance.max(initial=0)) + 1, np.int64)
+    np.add.at(out, instance, values)
+    return out.tolist()
