@@ -267,6 +267,7 @@ class Twin:
     ) -> None:
         """A fragment under two masks is cut: what lies under the smaller one moves to a new fragment."""
         common = [self.overlaps(voxels) for voxels in view.under]
+        kinds = [mask.kind if self.p.lifecycle.kinds else "" for mask in masks]
         planned = []
         for f in sorted(sum(common, Counter[int]())):
             least = round(self.p.evolution.cut_share * MILLION) * sum(c[f] for c in common)
@@ -274,14 +275,20 @@ class Twin:
                 m
                 for m in sorted(areas, key=lambda m: (-len(areas[m]), m))
                 if f in choices[m].held
-                and not (self.p.lifecycle.kinds and masks[m].kind == "region")
                 and common[m][f] >= 5
-                and MILLION * common[m][f] >= least
+                and (MILLION * common[m][f] >= least or kinds[m] == "support")
             ]
             keeper = min(over, key=lambda m: (-len(view.under[m]), over.index(m)), default=None)
             for m in over:
                 mostly = 2 * common[m][f] >= len(view.under[m])
-                if m != keeper and keeper is not None and mostly and not self.nested(areas[m], areas[keeper]):
+                piece = kinds[m] == "region"
+                if (
+                    m != keeper
+                    and keeper is not None
+                    and mostly
+                    and not piece
+                    and not self.nested(areas[m], areas[keeper])
+                ):
                     planned.append((f, m))
         for f, m in planned:
             self.move(f, view.under[m], choices[m])

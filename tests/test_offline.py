@@ -23,7 +23,10 @@ from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Plane, Room
 from openvox.perception.regions import depth_at_color_pixels
+from openvox.perception.segments import background_of, segments
 from openvox.perception.sizes import SIZE_OF, SIZES, extent_of, fits
+from openvox.perception.stems import joined_on_stems
+from openvox.perception.surface import surface
 from openvox.perception.wording import Form
 
 CAMERA = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
@@ -151,6 +154,28 @@ def test_what_stands_on_a_segment_is_known_and_what_stands_beside_it_is_not():
     }
     assert kinds == {1: "region", 2: "support", 3: "region"}
     assert lower not in parts.on
+
+
+POT = Solid(2, 7, (-0.1, 1.9, 0.0), (0.1, 2.1, 0.4), (120, 80, 40))
+CROWN = Solid(2, 7, (-0.5, 1.8, 0.4), (0.5, 2.2, 1.0), (20, 160, 20))
+BESIDE = Solid(3, 7, (0.55, 1.9, 0.0), (0.75, 2.1, 0.4), (120, 80, 40))
+
+
+@pytest.mark.parametrize(
+    ("solids", "joined"),
+    [
+        ((POT, CROWN), 1),
+        ((POT, CROWN, BESIDE), 1),
+        ((BESIDE, CROWN), 0),  # not under it
+        ((replace(POT, high=(0.1, 2.1, 0.2)), CROWN), 0),  # does not touch it
+    ],
+)
+def test_what_a_narrow_thing_bears_is_one_with_it(solids, joined):
+    frame = photograph(*solids, eye=(0.0, 0.3, 0.6))
+    seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
+    pose = frame.world_from_depth
+    pieces = segments(seen, background_of(seen, FLOOR, pose), GEOMETRY)
+    assert joined_on_stems(pieces, seen, FLOOR, pose, GEOMETRY).max() == pieces.max() - joined
 
 
 def test_a_sheet_on_an_even_table_is_parted_by_colour():

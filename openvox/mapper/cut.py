@@ -70,26 +70,31 @@ def cuts(
 
     voxels (masks,): |V_m|; columns (f,) fragment ids; overlap (masks + 1, f). Of the masks that hold the fragment and
     have enough of it, the largest keeps it; every other one that is mostly this fragment and not nested with the keeper
-    takes its part."""
+    takes its part. A region takes nothing, as it may be a piece; for what stands on a support any share is enough, as a
+    cup is little of a table."""
     share = fixedpoint.millionths(parameters.evolution.cut_share)
-    able = [
-        (-mask.area, m)
-        for m, mask in enumerate(masks)
-        if mask is not None and associations[m].main and (mask.kind != "region" or not parameters.lifecycle.kinds)
-    ]
-    order = [m for _, m in sorted(able)]
+    kinds = ["" if mask is None or not parameters.lifecycle.kinds else mask.kind for mask in masks]
+    order = [m for _, m in sorted((-mask.area, m) for m, mask in enumerate(masks) if mask and associations[m].main)]
     out = []
     for column, fragment in enumerate(columns.tolist()):
-        common = overlap[:, column].tolist()
-        least = max(MIN_CUT * fixedpoint.MILLION, share * sum(common[:-1]))
-        under = [m for m in order if fragment in associations[m].held and fixedpoint.MILLION * common[m] >= least]
+        common = [fixedpoint.MILLION * voxels for voxels in overlap[:-1, column].tolist()]
+        least = MIN_CUT * fixedpoint.MILLION
+        enough = max(least, share * sum(common) // fixedpoint.MILLION)
+        under = [
+            m
+            for m in order
+            if fragment in associations[m].held and common[m] >= (least if kinds[m] == "support" else enough)
+        ]
         if len(under) < 2:
             continue
         keeper = max(under, key=lambda m: (int(voxels[m]), -order.index(m)))
         out += [
             Cut(fragment, keeper, m)
             for m in under
-            if m != keeper and 2 * common[m] >= int(voxels[m]) and not nesting(m, keeper)
+            if m != keeper
+            and kinds[m] != "region"
+            and 2 * common[m] >= fixedpoint.MILLION * int(voxels[m])
+            and not nesting(m, keeper)
         ]
     return out
 

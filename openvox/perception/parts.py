@@ -15,6 +15,7 @@ from openvox.perception.patches import tops, with_patches
 from openvox.perception.planes import Room
 from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_pixels_of, depth_at_color_pixels
 from openvox.perception.segments import Labels, planes_at, segments
+from openvox.perception.stems import joined_on_stems
 from openvox.perception.supports import bearers, split_supports
 from openvox.perception.surface import Flags, Floats, Surface, depth_in_metres, surface
 from openvox.perception.wording import Form, forms
@@ -44,7 +45,7 @@ def parted(
     seen = surface(frame.depth, frame.rig.depth, geometry.near, geometry.far)
     planes = planes_at(seen, room, pose)
     lab = None if rgb is None else _lab(frame, seen, rgb)
-    labels = segments(seen, planes > 0, geometry)
+    labels = joined_on_stems(segments(seen, planes > 0, geometry), seen, room, pose, geometry)
     if lab is not None:
         labels = with_patches(labels, tops(labels, seen, room.up_in(pose)), lab, offline)
     pieces = int(labels.max())

@@ -158,21 +158,23 @@ def _merged(labels: Labels, surface: Surface, parameters: GeometryParameters) ->
         a, b = divmod(border, count)
         needed = SMALL_SMOOTH if min(area[a], area[b]) < parameters.piece_pixels else parameters.merge_smooth
         if smooth > needed and concave < parameters.merge_concave:
-            _join(parent, a, b)
-    table = np.array([_root(parent, i) for i in range(count)], np.int32)
+            join(parent, a, b)
+    table = np.array([root(parent, i) for i in range(count)], np.int32)
     roots = table == np.arange(count)
     roots[0] = False
     return renumbered(table[labels], roots)
 
 
-def _root(parent: list[int], i: int) -> int:
+def root(parent: list[int], i: int) -> int:
+    """The number that stands for all that `join` joined to i."""
     while parent[i] != i:
         i = parent[i]
     return i
 
 
-def _join(parent: list[int], a: int, b: int) -> None:
-    low, high = sorted((_root(parent, a), _root(parent, b)))
+def join(parent: list[int], a: int, b: int) -> None:
+    """Make a and b one; the lower root stands for both."""
+    low, high = sorted((root(parent, a), root(parent, b)))
     parent[high] = low
 
 

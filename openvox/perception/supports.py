@@ -33,7 +33,7 @@ def split_supports(
     outline stands on it, unless that is most of the segment."""
     out = labels.copy()
     number = int(labels.max())
-    for pixels in _pixels(labels):
+    for pixels in pixels_of(labels):
         if len(pixels) < 2 * offline.min_pixels:
             continue
         height, within = _above_top(pixels, surface, room, pose, geometry, offline)
@@ -67,12 +67,12 @@ def _above_top(
     offline: OfflineParameters,
 ) -> tuple[NDArray[np.float64], Flags]:
     """How far a segment's pixels are above its top, beyond the noise, metres; and which lie within its outline."""
-    body = _body(pixels, surface, room, pose, geometry)
+    body = body_of(pixels, surface, room, pose, geometry)
     top = _top(body, offline.min_pixels)
     if top is None:
         return np.full(len(pixels), -1.0), np.zeros(len(pixels), np.bool_)
     level, at_top = top
-    return body.height - level - NOISE * body.noise, _within(body.points, at_top, np.array(room.up))
+    return body.height - level - NOISE * body.noise, within_outline(body.points, at_top, np.array(room.up))
 
 
 def bearers(
@@ -80,7 +80,7 @@ def bearers(
 ) -> dict[int, int]:
     """Of each segment that stands on another one, which: its lowest part is at the top of that, and nearly all of it
     within the outline of the top. The largest segment that fits is the bearer."""
-    bodies = [_body(pixels, surface, room, pose, geometry) for pixels in _pixels(labels)]
+    bodies = [body_of(pixels, surface, room, pose, geometry) for pixels in pixels_of(labels)]
     large = [len(body.height) >= offline.min_pixels for body in bodies]
     low, high = (
         np.array([np.percentile(body.height, at) if fit else np.nan for body, fit in zip(bodies, large, strict=True)])
@@ -102,14 +102,14 @@ def bearers(
     return found
 
 
-def _lies_in(thing: _Body, bearer: _Body, at_top: Flags, room: Room, offline: OfflineParameters) -> bool:
+def _lies_in(thing: Body, bearer: Body, at_top: Flags, room: Room, offline: OfflineParameters) -> bool:
     points = np.concatenate([bearer.points, thing.points], 1)
     outline = np.concatenate([at_top, np.zeros(len(thing.height), np.bool_)])
-    within = _within(points, outline, np.array(room.up))[len(bearer.height) :]
+    within = within_outline(points, outline, np.array(room.up))[len(bearer.height) :]
     return int(within.sum()) >= offline.support_within * len(within)
 
 
-def _pixels(labels: Labels) -> list[NDArray[np.int64]]:
+def pixels_of(labels: Labels) -> list[NDArray[np.int64]]:
     """The pixels of each label from 1 on, ascending, in the flat picture."""
     flat = labels.reshape(-1)
     where = np.flatnonzero(flat)
@@ -118,7 +118,7 @@ def _pixels(labels: Labels) -> list[NDArray[np.int64]]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Body:
+class Body:
     """Pixels of one segment: points (3, n) in the world, height along `up`, whether they face up, depth and noise."""
 
     points: NDArray[np.float64]
@@ -128,15 +128,16 @@ class _Body:
     noise: Floats
 
 
-def _body(pixels: NDArray[np.int64], surface: Surface, room: Room, pose: Pose, geometry: GeometryParameters) -> _Body:
+def body_of(pixels: NDArray[np.int64], surface: Surface, room: Room, pose: Pose, geometry: GeometryParameters) -> Body:
+    """What some pixels of the flat picture show. pixels: (n,)."""
     points = in_world(surface.points.reshape(3, -1)[:, pixels], pose)
     normals = turned(surface.normals.reshape(3, -1)[:, pixels], pose)
     z = surface.points[2].reshape(-1)[pixels]
     up = np.array(room.up)
-    return _Body(points, _along(points, up), _along(normals, up) > 0.9, z, tolerance(z, geometry))
+    return Body(points, _along(points, up), _along(normals, up) > 0.9, z, tolerance(z, geometry))
 
 
-def _top(body: _Body, least: int) -> tuple[float, Flags] | None:
+def _top(body: Body, least: int) -> tuple[float, Flags] | None:
     """The height at which most of a segment faces up, and the pixels there; None if they are fewer than `least`."""
     height, facing = body.height, body.facing
     if int(facing.sum()) < least:
@@ -148,8 +149,8 @@ def _top(body: _Body, least: int) -> tuple[float, Flags] | None:
     return (level, at_top) if int(at_top.sum()) >= least else None
 
 
-def _within(points: NDArray[np.float64], outline: Flags, up: NDArray[np.float64]) -> Flags:
-    """Which points lie, seen from above, within the convex outline of some of them."""
+def within_outline(points: NDArray[np.float64], outline: Flags, up: NDArray[np.float64], margin: float = 0.0) -> Flags:
+    """Which points (3, n) lie, seen from above, in the convex outline of some of them, or `margin` metres near it."""
     import cv2
 
     east = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
@@ -158,7 +159,10 @@ def _within(points: NDArray[np.float64], outline: Flags, up: NDArray[np.float64]
     low = plan.min(0)
     cells = np.minimum((plan - low) / FOOTPRINT, 4000).astype(np.int32)
     picture = np.zeros((int(cells[:, 1].max()) + 1, int(cells[:, 0].max()) + 1), np.uint8)
-    cv2.fillConvexPoly(picture, cv2.convexHull(cells[outline]), (1,))
+    hull = cv2.convexHull(cells[outline])
+    cv2.fillConvexPoly(picture, hull, (1,))
+    if margin:
+        cv2.polylines(picture, [hull], True, (1,), 2 * round(margin / FOOTPRINT) + 1)
     result: Flags = picture[cells[:, 1], cells[:, 0]] > 0
     return result
 
