@@ -15,7 +15,7 @@ from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap
 from openvox.formats.map_npz import read_map
 
-FITS = 0.4
+FITS = 0.45
 """Likeness from which on the first answer is taken for one; docs/perception.md has what it costs."""
 FIELDS = ("instance", "caption", "score", "center", "bounds", "voxels")
 

@@ -123,13 +123,13 @@ def seen(recording: Path) -> Counter[int]:
     return Counter(number for frame in read_frames(recording, stride=STRIDE) for number in visible(frame).tolist())
 
 
-def chain(recording: Path, perception: Path, scene: Path, preset: str) -> tuple[str, ...]:
-    """Mapped and scored."""
+def chain(recording: Path, perception: Path, scene: Path, preset: str, nouns: bool) -> tuple[str, ...]:
+    """Mapped and scored. nouns: captions are "a COLOUR NOUN", so that names can be looked up."""
     with tempfile.TemporaryDirectory() as name:
         stem = Path(name) / "run"
         openvox("replay", recording, "--perception", perception, "--preset", preset, "--out", stem)
         scored = openvox("evaluate", f"{stem}.map.npz", "--truth", scene)
-        named = names(Path(f"{stem}.map.npz"), scene, seen(recording))
+        named = names(Path(f"{stem}.map.npz"), scene, seen(recording)) if nouns else ("", "")
     found, recall = scored["instances"], scored["retrieval"]["all"]
     return (
         *(f"{found[key]:.3f}" for key in ("ap", "ap50", "ap25", "f50", "miou", "spill", "missed_share")),
@@ -171,7 +171,7 @@ def main() -> None:
         table(
             CHAIN,
             (
-                (scene.name, kind, preset, *chain(recording, perception, scene, preset))
+                (scene.name, kind, preset, *chain(recording, perception, scene, preset, kind != "noisy"))
                 for scene, (recording, own, noisy) in zip(options.scenes, made, strict=True)
                 for kind, perception, preset in ((options.frontend, own, "openvox"), ("noisy", noisy, "openvox"))
             ),
