@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,7 @@ def map_file(tmp_path: Path) -> Path:
         ("There is a low coffee table with a mosaic top.", "coffee table"),
         ("a tall white bookcase full of books", "bookcase"),
         ("a pair of running shoes", "shoes"),
+        ("a brown chest of drawers", "chest of drawers"),
         ("a close up of a green vegetable", "vegetable"),
         ("a side table next to another object", "side table"),
         ("a zorbulator", "zorbulator"),
@@ -64,6 +66,12 @@ def test_the_noun_of_a_caption_is_the_thing_itself(caption: str, noun: str) -> N
 
 def test_without_classes_a_category_is_the_noun_of_the_caption() -> None:
     assert categories_of(room(), None) == ("sofa", "mug", "sofa", UNNAMED)
+
+
+def test_a_caption_that_only_describes_gives_no_category() -> None:
+    plain = room()
+    first = replace(plain.instances[0], caption="a small white object on the floor", named=False)
+    assert categories_of(replace(plain, instances=(first, *plain.instances[1:])), None)[0] == UNNAMED
 
 
 def test_with_classes_it_is_the_nearest_name(tmp_path: Path) -> None:

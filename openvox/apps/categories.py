@@ -1,4 +1,4 @@
-"""A category for every instance of a map: the nearest of given names, else the noun of its caption."""
+"""A category for every instance of a map: the nearest of given names, else the noun of its caption if that names it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def categories_of(result: InstanceMap, classes: Path | None) -> tuple[str, ...]:
 
     With classes, the name whose text is nearest to the instance's feature, the first on a tie, as `evaluate` does."""
     if classes is None:
-        return tuple(noun_of(one.caption) or UNNAMED for one in result.instances)
+        return tuple((one.named and noun_of(one.caption)) or UNNAMED for one in result.instances)
     names = read_classes(classes)
     try:
         return nearest_names(result, names)

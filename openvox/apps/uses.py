@@ -145,7 +145,7 @@ USES = {
 
 USE_OF = {noun.strip().lower(): use for nouns, use in USES.items() for noun in nouns.split(",")}
 _LONGEST = max(len(noun.split()) for noun in USE_OF)
-_AFTER = re.compile(r"\s+(?:with|on|of|in|at|under|beside|near|for|that|which)\s")
+_AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s")
 
 
 _AMOUNT = re.compile(
