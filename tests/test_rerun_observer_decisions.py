@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from test_rerun_observer import (
@@ -29,11 +30,12 @@ from openvox.core.mapper_parameters import preset
 from openvox.core.types import Candidate, Event, Frame, Intrinsics, Pose, Rig
 from openvox.formats.trace import TraceWriter, read_trace
 from openvox.mapper.mapper import Mapper
-from openvox.view.best_views import WIDTH, BestViews
+from openvox.view.best_views import WIDTH, BestViews, sheet
 from openvox.view.decision_graph import decision_graph
 from openvox.view.decision_table import margins
 from openvox.view.instance_table import Row, markdown
 from openvox.view.live_map import LiveMap
+from openvox.view.rerun_lives import lane
 from openvox.view.rerun_observer import RerunObserver
 from openvox.view.votes import finished_entropies, shares_and_entropies
 
@@ -104,8 +106,8 @@ def test_margins_are_the_least_of_the_frame() -> None:
     assert margins(Story().tell(instance_of={}, masks=masks, decisions=(none,))) is None
 
 
-def states(path: Path, instance: int) -> list[tuple[int, str]]:
-    return [(row["frame"], row["state"][0]) for row in rows(path, f"lives/{instance:04d}")]
+def states(path: Path, name: str) -> list[tuple[int, str]]:
+    return [(row["frame"], row["state"][0]) for row in rows(path, f"lives/{name}")]
 
 
 def test_each_life_is_told_as_states(tmp_path: Path) -> None:
@@ -117,9 +119,59 @@ def test_each_life_is_told_as_states(tmp_path: Path) -> None:
     story.tell(instance_of={1: 1, 2: 2}, events=(Event(3, "split", 1, (2,), ""),))
     story.tell(instance_of={1: 1, 2: 2})
     dropped = (Event(4, "dropped", 2, (), "too small"),)
-    path = record(tmp_path / "run.rrd", story.steps, replace(finished([(0, 0, 0)], [1]), events=dropped))
-    assert states(path, 1) == [(0, "tentative"), (1, "confirmed")]
-    assert states(path, 2) == [(0, "tentative"), (2, "merged"), (3, "split"), (4, "dropped")]
+    end = finished([(0, 0, 0)], [1], captions={1: "white cup"})
+    path = record(tmp_path / "run.rrd", story.steps, replace(end, events=dropped))
+    assert states(path, "0001_white_cup") == [(0, "tentative"), (1, "confirmed")]
+    assert states(path, "0002") == [(0, "tentative"), (2, "merged"), (3, "split"), (4, "dropped")]
+
+
+def test_a_lane_is_named_by_id_and_caption_in_letters_that_a_path_shows_as_they_are() -> None:
+    assert lane(17, 'a "grün/white" cup, with a long, long handle') == "lives/0017_a_grün_white_cup_wit"
+    assert lane(4, "") == "lives/0004"
+
+
+def test_a_merged_instance_keeps_the_caption_of_its_own_masks_in_its_lane(tmp_path: Path) -> None:
+    story = Story(tiny_frames(2))
+    masks, decisions = (mask(0, "cup"), mask(1, "lamp")), (decision(0, 1), decision(1, 2))
+    story.tell(new=owned(box_of_voxels(0, 2), 1), instance_of={1: 1, 2: 2}, masks=masks, decisions=decisions)
+    story.tell(instance_of={1: 1, 2: 1})
+    path = record(tmp_path / "run.rrd", story.steps, None)
+    assert states(path, "0002_lamp")[-1] == (1, "merged")
+
+
+def test_each_mask_in_the_picture_has_its_number_caption_and_instance(tmp_path: Path) -> None:
+    story = Story()
+    masks = (mask(0, "there is a large red fire engine"), mask(1, "the lamp"))
+    story.tell(instance_of={3: 3}, masks=masks, decisions=(decision(0, 3, "new"), decision(1, 0, "small")))
+    (row,) = rows(record(tmp_path / "run.rrd", story.steps), "camera/names")
+    assert row["labels"] == ["0: large red fir… → 3", "1: lamp → nothing"]
+    assert row["positions"] == [[4.0, 8.0], [8.0, 7.5]]  # the middle of 0..8 x 4..12, and of 4..12 x 4..11
+
+
+def test_the_best_views_of_an_instance_lie_beside_its_voxels_with_its_votes(tmp_path: Path) -> None:
+    story = Story()
+    story.tell(
+        new=owned(box_of_voxels(0, 2), 1), instance_of={1: 1}, masks=(mask(1, "cup"),), decisions=(decision(0, 1),)
+    )
+    end = finished(box_of_voxels(0, 2), [1, 1], captions={1: "cup"})
+    (row,) = rows(record(tmp_path / "run.rrd", story.steps, end), "world/instances/0001", static=True)
+    assert row["votes"] == [f"cup ({end.instances[0].captions[0][1]:.4g})"]
+    picture = cv2.imdecode(np.array(row["blob"][0], np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape == (112, 112, 3)
+
+
+def test_the_finished_map_is_drawn_in_the_order_of_the_drawings_before() -> None:
+    live = LiveMap()
+    story = Story(tiny_frames(2))
+    live.apply(story.tell(new=owned([(5, 0, 0)], 1), instance_of={1: 1}))
+    live.apply(story.tell(new=owned([(1, 0, 0), (9, 0, 0)], 1), instance_of={1: 1}))
+    index = np.array([(1, 0, 0), (5, 0, 0), (9, 0, 0)], np.int32)
+    assert (
+        index[live.order_of(index)].tolist()
+        == live.index_of(live.rows(1)).tolist()
+        == [[5, 0, 0], [1, 0, 0], [9, 0, 0]]
+    )
 
 
 def test_only_every_nth_frame_shows_pictures_and_voxels_and_none_of_another_frame(tmp_path: Path) -> None:
@@ -189,11 +241,11 @@ def test_the_views_of_each_instance_lie_side_by_side_in_one_sheet() -> None:
         story = Story([frame])
         masks = (mask(frame.index, "box"), mask(2, "ball"))
         views.add(story.tell(instance_of={5: 3, 6: 6}, masks=masks, decisions=(decision(0, 5), decision(1, 6))))
-    sheet = views.sheet([3, 6, 9], {5: 3, 6: 6}.__getitem__)
-    assert sheet is not None
-    assert sheet.boxes == {3: (0, 0, 336, 112), 6: (346, 0, 336, 112)}  # side by side; 9 was never seen
-    assert sheet.picture.shape == (122, WIDTH, 3)
-    assert views.sheet([9], {5: 3, 6: 6}.__getitem__) is None
+    strips = views.strips([3, 6, 9], {5: 3, 6: 6}.__getitem__)
+    assert {instance: strip.shape for instance, strip in strips.items()} == {3: (112, 112, 3), 6: (112, 112, 3)}
+    together = sheet(strips)
+    assert together.boxes == {3: (0, 0, 336, 112), 6: (346, 0, 336, 112)}  # side by side; 9 was never seen
+    assert together.picture.shape == (122, WIDTH, 3)
 
 
 def test_voxel_size_is_that_of_the_run(tmp_path: Path) -> None:

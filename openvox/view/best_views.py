@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -66,26 +66,29 @@ class BestViews:
         """The views of an instance, as it was called when a mask went to it."""
         return self._views.get(instance, ())
 
-    def sheet(self, instances: Sequence[int], now: Callable[[int], int]) -> Sheet | None:
-        """The views of these instances, in rows; None if there are none. now: instance of a fragment."""
+    def strips(self, instances: Sequence[int], now: Callable[[int], int]) -> dict[int, Picture]:
+        """The views of those of these instances that have some, side by side, the best first.
+
+        now: instance of a fragment."""
         views: dict[int, list[View]] = {}
         for chosen, seen in self._views.items():
             views.setdefault(now(chosen), []).extend(seen)
-        shown = [instance for instance in instances if views.get(instance)]
-        if not shown:
-            return None
-        width, height = VIEWS * SIDE + GAP, SIDE + GAP
-        picture = np.full((-(-len(shown) // ACROSS) * height, WIDTH, 3), PAPER, np.uint8)
-        boxes = {}
-        for place, instance in enumerate(shown):
-            x, y = place % ACROSS * width, place // ACROSS * height
-            boxes[instance] = (x, y, VIEWS * SIDE, SIDE)
-            best = sorted(views[instance], key=lambda view: (-view.area, view.frame))[:VIEWS]
-            for i, view in enumerate(best):
-                picture[y : y + SIDE, x + i * SIDE : x + (i + 1) * SIDE] = view.crop
-            for color, thick in (((0, 0, 0), 5), ((255, 255, 255), 2)):
-                cv2.putText(picture, str(instance), (x + 6, y + 28), cv2.FONT_HERSHEY_SIMPLEX, 0.9, color, thick)
-        return Sheet(picture, boxes)
+        best = {i: sorted(views.get(i, ()), key=lambda view: (-view.area, view.frame))[:VIEWS] for i in instances}
+        return {i: np.hstack([view.crop for view in seen]) for i, seen in best.items() if seen}
+
+
+def sheet(strips: Mapping[int, Picture]) -> Sheet:
+    """The views of all these instances, one or more, in rows."""
+    width, height = VIEWS * SIDE + GAP, SIDE + GAP
+    picture = np.full((-(-len(strips) // ACROSS) * height, WIDTH, 3), PAPER, np.uint8)
+    boxes = {}
+    for place, (instance, strip) in enumerate(strips.items()):
+        x, y = place % ACROSS * width, place // ACROSS * height
+        boxes[instance] = (x, y, VIEWS * SIDE, SIDE)
+        picture[y : y + SIDE, x : x + strip.shape[1]] = strip
+        for color, thick in (((0, 0, 0), 5), ((255, 255, 255), 2)):
+            cv2.putText(picture, str(instance), (x + 6, y + 28), cv2.FONT_HERSHEY_SIMPLEX, 0.9, color, thick)
+    return Sheet(picture, boxes)
 
 
 def _kept(views: Sequence[View], area: float, frame: int) -> list[View] | None:

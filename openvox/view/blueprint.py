@@ -15,6 +15,8 @@ from openvox.view.best_views import WIDTH
 from openvox.view.lives import STATES
 from openvox.view.viewpoint import best_azimuth, centres, from_above
 
+MOST_BITS = 1.5
+"""Entropy with the brightest colour; 1 bit = two instances with as many votes each."""
 VIEW = Intrinsics(500, 750, 720.0, 720.0, 249.5, 374.5)
 """About the 3D view in a window of 1600 x 900, with the viewer's angle of 55 degrees."""
 
@@ -38,11 +40,12 @@ def overview(result: InstanceMap) -> Eye:
     return Eye(tuple(position.tolist()), tuple(target.tolist()))
 
 
-def blueprint(eye: Eye | None = None, *, pictures: bool = True) -> rrb.Blueprint:
+def blueprint(eye: Eye | None = None, *, pictures: bool = True, pictured: Sequence[int] = ()) -> rrb.Blueprint:
     """3D map | detected above rendered masks | this frame's decisions above what happened over time; panels collapsed.
 
-    pictures: whether there is a column for them."""
-    columns = [_maps(eye), *([_pictures()] if pictures else []), _numbers()]
+    pictures: whether there is a column for them, and what is under each mask in space. pictured: instances
+    that have a picture beside their voxels, which a 3D view is not to draw."""
+    columns = [_maps(eye, pictures, pictured), *([_pictures()] if pictures else []), _numbers()]
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=[11, 8, 15] if pictures else [1, 1]),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME),
@@ -64,19 +67,23 @@ def view_names(layout: rrb.Blueprint) -> list[str]:
     return sorted(names)
 
 
-def _maps(eye: Eye | None) -> rrb.Tabs:
+def _maps(eye: Eye | None, pictures: bool, pictured: Sequence[int]) -> rrb.Tabs:
+    maps = rr.components.Colormap
+    shown = [entities.INSTANCES, entities.CAPTIONS, entities.TOUCHED, entities.DETECTED]
     return rrb.Tabs(
-        _spatial("Instances", [entities.INSTANCES, entities.CAPTIONS, entities.TOUCHED, entities.DETECTED], eye),
-        _spatial("Confidence", [entities.CONFIDENCE, entities.CAPTIONS], eye),
-        _spatial("Entropy", [entities.ENTROPY, entities.CAPTIONS], eye),
-        _spatial("Masks", [entities.REGIONS, entities.TOUCHED, entities.DETECTED], eye),
+        _spatial("Instances", shown, eye, pictured=pictured),
+        _spatial("Confidence", [entities.CONFIDENCE, entities.CAPTIONS], eye, _shades(1.0, maps.Viridis)),
+        _spatial("Entropy", [entities.ENTROPY, entities.CAPTIONS], eye, _shades(MOST_BITS, maps.Magma)),
+        *([_spatial("Masks", [entities.REGIONS, entities.TOUCHED, entities.DETECTED], eye)] if pictures else []),
     )
 
 
 def _pictures() -> rrb.Vertical:
     return rrb.Vertical(
         rrb.Tabs(
-            rrb.Spatial2DView(origin=entities.COLOR, contents=f"{entities.DETECTED}/**", name="Detected masks"),
+            rrb.Spatial2DView(
+                origin=entities.COLOR, contents=[f"{entities.DETECTED}/**", entities.MASK_NAMES], name="Detected masks"
+            ),
             rrb.Spatial2DView(origin=entities.DEPTH, name="Depth, m"),
             rrb.Spatial2DView(
                 origin=entities.BEST_VIEWS,
@@ -111,12 +118,25 @@ def _numbers() -> rrb.Vertical:
     )
 
 
-def _spatial(name: str, shown: Sequence[str], eye: Eye | None) -> rrb.Spatial3DView:
+def _shades(most: float, colormap: rr.components.Colormap) -> rr.VoxelGridMap:
+    """How values from 0 to `most` are coloured, said once for all instances of a view: in each it would cost 1 kB."""
+    return rr.VoxelGridMap.from_fields(value_range=(0.0, most), colormap=colormap)
+
+
+def _spatial(
+    name: str, shown: Sequence[str], eye: Eye | None, *defaults: rr.VoxelGridMap, pictured: Sequence[int] = ()
+) -> rrb.Spatial3DView:
+    overrides: dict[Any, Any] = {
+        entities.TRAJECTORY: _from_the_start(),
+        entities.CAPTIONS: rrb.EntityBehavior(visible=False),
+        **{entities.instance_path(instance): rr.VoxelGridMap.from_fields().visualizer() for instance in pictured},
+    }
     return rrb.Spatial3DView(
         origin=entities.WORLD,
         contents=[f"+ {path}/**" for path in (entities.CAMERA, entities.TRAJECTORY, *shown)],
         name=name,
-        overrides={entities.TRAJECTORY: _from_the_start(), entities.CAPTIONS: rrb.EntityBehavior(visible=False)},
+        defaults=defaults or None,
+        overrides=overrides,
         eye_controls=controls(eye),
     )
 

@@ -35,7 +35,7 @@ class Graph:
         self.ids.append(name)
         self.labels.append(label)
         self.colors.append(color)
-        self.positions.append((column * COLUMN, row * ROW))
+        self.positions.append((column * COLUMN, round(row * ROW)))
 
 
 def decision_graph(step: Step, caption_of: Callable[[int], str]) -> Graph:

@@ -23,6 +23,7 @@ REGIONS = "world/masks"
 DETECTED = "camera/detected"
 COLOR = "camera/detected/color"
 MASKS = "camera/detected/masks"
+MASK_NAMES = "camera/names"
 DEPTH = "camera/depth"
 RENDERED = "camera/rendered"
 RENDERED_CONFIDENCE = "camera/rendered_confidence"
@@ -56,11 +57,6 @@ def confidence_path(instance: int) -> str:
 def entropy_path(instance: int) -> str:
     """Voxels of one instance coloured by the entropy of their votes."""
     return f"{ENTROPY}/{instance:04d}"
-
-
-def life_path(instance: int) -> str:
-    """States of one instance over time."""
-    return f"{LIVES}/{instance:04d}"
 
 
 def region_path(mask: int) -> str:

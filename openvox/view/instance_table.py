@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.view.decision_table import escaped
-from openvox.view.labels import shortened
+from openvox.view.labels import caption_votes
 
 HEAD = "| id | observations | voxels | confidence, 0 to 1 | captions (votes) |"
 RULE = "|---:|---:|---:|:---|:---|"
 BARS = " ▁▂▃▄▅▆▇█"
 BINS = 10
-CAPTIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +38,8 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _row(row: Row) -> str:
-    shown = [f"{escaped(shortened(caption, 32))} ({votes:.4g})" for caption, votes in row.captions[:CAPTIONS]]
-    more = [f"{len(row.captions) - CAPTIONS} more"] if len(row.captions) > CAPTIONS else []
+    captions = escaped("; ".join(caption_votes(row.captions)))
     most = max(int(row.histogram.max(initial=0)), 1)
     bars = "".join(BARS[-(-int(count) * (len(BARS) - 1) // most)] for count in row.histogram)
-    cells = (row.instance, row.observations, int(row.histogram.sum()), f"`{bars}`", "; ".join(shown + more))
+    cells = (row.instance, row.observations, int(row.histogram.sum()), f"`{bars}`", captions)
     return f"| {' | '.join(map(str, cells))} |"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,10 @@ from openvox.core.colors import instance_color
 from openvox.core.types import InstanceMap, Mask, Step
 
 NOTHING = -1
+CAPTIONS, CAPTION_LETTERS = 3, 32
+"""Captions that are told with their votes, and letters of each."""
+PICTURE_LETTERS = 14
+ARTICLES = re.compile(r"^(there is )?(an?|the)\s+", re.IGNORECASE)
 UNASSIGNED = (160, 160, 160)
 """Colour of a mask that went to no instance."""
 BACKGROUND = (70, 72, 78)
@@ -24,6 +29,8 @@ class Label:
 
     text: str
     color: tuple[int, int, int]
+    short: str = ""
+    """To stand in a picture."""
 
 
 def mask_image(masks: Sequence[Mask], height: int, width: int) -> NDArray[np.int32]:
@@ -42,8 +49,16 @@ def detected_labels(masks: Sequence[Mask], instance_of: Mapping[int, int]) -> di
         instance = instance_of.get(number, 0)
         caption = mask.caption or mask.label
         color = instance_color(instance) if instance else UNASSIGNED
-        labels[number] = Label(f"mask {number}: {caption} → {instance or 'nothing'}", color)
+        where = instance or "nothing"
+        short = f"{number}: {shortened(ARTICLES.sub('', caption), PICTURE_LETTERS)} → {where}"
+        labels[number] = Label(f"mask {number}: {caption} → {where}", color, short)
     return labels
+
+
+def caption_votes(captions: Sequence[tuple[str, float]]) -> list[str]:
+    """Captions with their votes, as in `a chair (3)`, and how many more there are."""
+    shown = [f"{shortened(caption, CAPTION_LETTERS)} ({votes:.4g})" for caption, votes in captions[:CAPTIONS]]
+    return shown + ([f"{len(captions) - CAPTIONS} more"] if len(captions) > CAPTIONS else [])
 
 
 def instance_labels(instances: Sequence[int], caption_of: Callable[[int], str]) -> dict[int, Label]:
@@ -103,6 +118,11 @@ class Captions:
     def observations(self, instance: int) -> int:
         """Frames in which a mask went to it, or to what has merged into it."""
         return sum(self._frames.get(chosen, 0) for chosen in self._parts.get(instance, []))
+
+    def first(self, instance: int) -> str:
+        """The caption that its own masks had most often, without those that merged into it; also where it is gone."""
+        counts = self._counts.get(instance, {})
+        return min(counts, key=lambda caption: (-counts[caption], caption), default="")
 
     def of(self, instance: int) -> str:
         """The caption given most often, or nothing if no mask had one."""

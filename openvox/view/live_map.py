@@ -65,6 +65,13 @@ class LiveMap:
         parts = [self._members.get(fragment, NONE) for fragment in self._fragments.get(instance, [])]
         return np.sort(np.concatenate(parts)) if parts else NONE
 
+    def order_of(self, index: NDArray[np.int32]) -> Rows:
+        """What sorts these voxels as `rows` does. index: (n, 3), of voxels of this map."""
+        key = self._key[: self.size]
+        known = np.argsort(key)
+        place = np.searchsorted(key, voxel_key(index.astype(np.int64)), sorter=known)
+        return np.argsort(known[np.minimum(place, self.size - 1)], kind="stable")
+
     def count(self, instance: int) -> int:
         """Number of voxels of an instance."""
         return sum(len(self._members.get(fragment, NONE)) for fragment in self._fragments.get(instance, []))

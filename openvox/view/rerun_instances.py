@@ -20,8 +20,6 @@ from openvox.view.votes import finished_entropies
 
 GRAIN = 8
 """Confidence and entropy are drawn in so many steps from 0 to 1, which a file can hold in little room."""
-MOST_BITS = 1.5
-"""Entropy with the brightest colour; 1 bit = two instances with as many votes each."""
 LETTERS = 20
 
 
@@ -32,7 +30,6 @@ class Instances:
         self._log, self._voxel_size, self._map, self._captions = log, voxel_size, live, captions
         self._redraw = Redraw()
         self._seen: set[int] = set()  # instances that were drawn at some time
-        self._shown: set[str] = set()  # entities of instances that show something now
         self._named: dict[int, str] = {}  # caption of those that show something now
         self._bounds: dict[int, NDArray[np.float64]] = {}  # (2, 3), metres, of those, as drawn
 
@@ -57,7 +54,8 @@ class Instances:
             mine = order[first:last]
             index, confidence = result.voxel_index[mine], result.voxel_confidence[mine]
             summary = summaries.get(instance)
-            self._draw_instance(instance, index, summary.caption if summary else "")
+            drawn = index[self._map.order_of(index)]
+            self._draw_instance(instance, drawn, summary.caption if summary else "")
             self._draw_sureness(instance, index, confidence, entropy[mine])
             if summary:
                 rows.append(Row(instance, summary.captions, summary.observations, histogram(confidence)))
@@ -82,17 +80,16 @@ class Instances:
         self._draw_instance(instance, self._map.index_of(self._map.rows(instance)), self._captions.of(instance))
 
     def _draw_instance(self, instance: int, index: NDArray[np.int32], caption: str) -> None:
+        """Its voxels; no voxels where it showed some. A row always has all columns: else chunks are torn apart."""
+        if len(index):
+            self._bounds[instance] = np.array([index.min(0), index.max(0) + 1]) * self._voxel_size
+            self._named[instance] = caption
+        elif self._named.pop(instance, None) is None:
+            return
         self._seen.add(instance)
         cubes = self._cubes(index, colors=[instance_color(instance)])
-        path = entities.instance_path(instance)
-        if not len(index):
-            self._named.pop(instance, None)
-            self._draw(path, index)
-            return
-        self._bounds[instance] = np.array([index.min(0), index.max(0) + 1]) * self._voxel_size
-        about = values(instance=np.array([instance], np.int32), caption=[caption])  # always: else chunks are torn apart
-        self._draw(path, index, cubes, about)
-        self._named[instance] = caption
+        about = values(instance=np.array([instance], np.int32), caption=[caption])
+        self._log(entities.instance_path(instance), cubes, about)
 
     def _log_captions(self) -> None:
         """Id and caption in the middle of each instance, as one entity: many small ones would fill the file."""
@@ -131,24 +128,15 @@ class Instances:
     def _draw_sureness(
         self, instance: int, index: NDArray[np.int32], share: NDArray[np.float32], entropy: NDArray[np.float32]
     ) -> None:
-        maps = rr.components.Colormap
-        for path, amount, most, colormap in (
-            (entities.confidence_path(instance), share, 1.0, maps.Viridis),
-            (entities.entropy_path(instance), entropy, MOST_BITS, maps.Magma),
-        ):
-            grains = (np.rint(amount * GRAIN) / GRAIN).astype(np.float32)
-            if len(index):
-                cubes = self._cubes(index, values=grains, value_range=(0.0, most), colormap=colormap)
-                self._log(path, cubes, static=True)
+        """Colours and range of the values are said by the layout."""
+        if len(index):
+            for path, amount in (
+                (entities.confidence_path(instance), share),
+                (entities.entropy_path(instance), entropy),
+            ):
+                grains = (np.rint(amount * GRAIN) / GRAIN).astype(np.float32)
+                order = np.argsort(grains, kind="stable")  # equal ones together take next to no room
+                self._log(path, self._cubes(index[order], values=grains[order]), static=True)
 
     def _cubes(self, index: NDArray[np.int32], **look: Any) -> rr.VoxelGridMap:
         return rr.VoxelGridMap(index, voxel_size=[self._voxel_size] * 3, **look)
-
-    def _draw(self, path: str, index: NDArray[np.int32], *what: Any) -> None:
-        """Log what is there, or clear what was."""
-        if len(index):
-            self._log(path, *what)
-            self._shown.add(path)
-        elif path in self._shown:
-            self._log(path, rr.Clear(recursive=True))
-            self._shown.remove(path)

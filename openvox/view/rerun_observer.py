@@ -26,6 +26,7 @@ from openvox.view.labels import Captions
 from openvox.view.live_map import LiveMap
 from openvox.view.lives import Lives, dropped
 from openvox.view.rerun_instances import Instances
+from openvox.view.rerun_lives import Lanes
 from openvox.view.rerun_pictures import Images, Pictures
 from openvox.view.rerun_values import PATH_COLOR, pinhole, values
 from openvox.view.rrd_file import check_whole
@@ -74,6 +75,7 @@ class RerunObserver:
         self._partial: Path | None = None
         self._has_camera, self._with_pictures = camera, camera and images != "none"
         self._open(target)
+        self._lanes = Lanes(self._recording, self._log, self._captions, watched=isinstance(target, str))
         self._instances = Instances(self._log, voxel_size, self._map, self._captions)
         self._pictures = (
             Pictures(self._log, images, voxel_size, self._map, self._captions) if self._with_pictures else None
@@ -103,7 +105,7 @@ class RerunObserver:
         change = self._map.apply(step)
         self._captions.add(step)
         self._log_decisions(step)
-        self._log_lives(self._lives.changes(step))
+        self._lanes.add(step.frame, self._lives.changes(step))
         self._log_statistics(step)
         self._instances.log(step, change, drawn)
         if self._pictures is not None:
@@ -117,13 +119,16 @@ class RerunObserver:
 
         Raises OutputError."""
         with self._file, self._refusals():
+            pictured: tuple[int, ...] = ()
             if self._frame is not None and result is not None:
-                self._log_finished(result)
-                self._recording.send_blueprint(
-                    blueprint(overview(result), pictures=self._with_pictures), make_active=False
-                )
+                pictured = self._log_finished(self._frame, result)
             elif self._frame is not None:
                 self._instances.finish_without()
+                self._lanes.finish({})
+            eye = overview(result) if result is not None and self._frame is not None else None
+            self._recording.send_blueprint(
+                blueprint(eye, pictures=self._with_pictures, pictured=pictured), make_active=False
+            )
             self._recording.flush()
             self._recording.disconnect()
             if self._partial is not None:
@@ -149,15 +154,14 @@ class RerunObserver:
 
     def _open(self, target: Path | str) -> None:
         self._path, self._file = target, ExitStack()
-        layout = blueprint(pictures=self._with_pictures)
         if isinstance(target, str):
             viewer.check_url(target)
-            self._recording.connect_grpc(target, default_blueprint=layout)
+            self._recording.connect_grpc(target, default_blueprint=blueprint(pictures=self._with_pictures))
         else:
             with ExitStack() as stack:
                 self._partial = stack.enter_context(partial_file(target))
                 try:
-                    self._recording.save(self._partial, default_blueprint=layout)
+                    self._recording.save(self._partial)  # its layout comes at the end, with an eye for its map
                 except RuntimeError as error:  # what Rerun makes of the system's refusal
                     raise OSError(str(error)) from error
                 self._file = stack.pop_all()
@@ -208,10 +212,6 @@ class RerunObserver:
             text = f"{event.kind} {event.instance}{caption}{others}: {event.text}"
             self._log(entities.EVENTS, rr.TextLog(text, level=LEVELS.get(event.kind, rr.TextLogLevel.WARN)))
 
-    def _log_lives(self, states: Iterable[tuple[int, str]]) -> None:
-        for instance, state in states:
-            self._log(entities.life_path(instance), rr.StateChange(state=state))
-
     def _log_statistics(self, step: Step) -> None:
         self._log(entities.INSTANCE_COUNT, rr.Scalars(len(self._map.populated())))
         self._log(entities.VOXEL_COUNT, rr.Scalars(step.voxels))
@@ -224,14 +224,17 @@ class RerunObserver:
                 self._log(entities.MILLISECONDS, rr.SeriesLines(names=list(times)), static=True)
             self._log(entities.MILLISECONDS, rr.Scalars(list(times.values())))
 
-    def _log_finished(self, result: InstanceMap) -> None:
-        """Everything as it ends, which may differ from the last step: small things dropped, voxels smoothed."""
+    def _log_finished(self, frame: Frame, result: InstanceMap) -> tuple[int, ...]:
+        """Everything as it ends, which may differ from the last step: small things dropped, voxels smoothed.
+
+        Returns the instances that have their best views beside their voxels: a layout must know of them."""
         self._instances.finish(result)
-        self._log_lives(dropped(result.events))
+        self._lanes.add(frame, dropped(result.events))
+        self._lanes.finish({summary.id: summary.caption for summary in result.instances})
         self._log_events(result.events)
-        if self._pictures is not None and self._camera is not None:
-            captions = {summary.id: summary.caption for summary in result.instances}
-            self._pictures.finish(result, self._camera, captions)
+        if self._pictures is None or self._camera is None:
+            return ()
+        return self._pictures.finish(result, self._camera, beside=self._partial is not None)
 
 
 class _AbortedError(Exception):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import cv2
@@ -10,16 +11,17 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from openvox.core.colors import instance_color
-from openvox.core.types import Frame, InstanceMap, Step
+from openvox.core.types import Frame, InstanceMap, Mask, Step
 from openvox.formats.images import decode_color, encode_jpeg
 from openvox.view import entities
-from openvox.view.best_views import BestViews
+from openvox.view.best_views import BestViews, Picture, Sheet, sheet
 from openvox.view.labels import (
     BACKGROUND,
     NOTHING,
     UNASSIGNED,
     Captions,
     Label,
+    caption_votes,
     detected_labels,
     instance_labels,
     mask_image,
@@ -31,7 +33,7 @@ from openvox.view.rerun_values import Log, label_image, values
 from openvox.view.viewpoint import world_from_color
 
 Images = Literal["none", "jpeg", "all"]
-QUALITY = 75
+QUALITY, VIEW_QUALITY = 75, 85
 REGION_STEP = 4
 """Every so many pixels across and down are asked in which voxel they lie."""
 STEPS = 10
@@ -46,7 +48,7 @@ class Pictures:
         self._map, self._captions = live, captions
         self._views = BestViews()
         self._regions = 0
-        for picture in (entities.COLOR, entities.MASKS):
+        for picture in (entities.COLOR, entities.MASKS, entities.MASK_NAMES):
             log(picture, rr.CoordinateFrame(entities.CAMERA_FRAME), static=True)
 
     def log(self, step: Step) -> None:
@@ -56,7 +58,9 @@ class Pictures:
         self._log_color(frame)
         numbers = mask_image(step.masks, camera.height, camera.width)
         instance_of = {decision.mask: decision.instance for decision in step.decisions}
-        self._log(entities.MASKS, *label_image(numbers, detected_labels(step.masks, instance_of)))
+        labels = detected_labels(step.masks, instance_of)
+        self._log(entities.MASKS, *label_image(numbers, labels))
+        self._log_names(step.masks, labels)
         if self._images == "all":
             self._log(entities.DEPTH, rr.DepthImage(frame.depth, meter=1000.0))
         self._log_regions(step, numbers, instance_of)
@@ -65,28 +69,52 @@ class Pictures:
     def clear(self) -> None:
         """No picture of an earlier frame stays: Clear alone leaves a coded one standing."""
         self._log(entities.REGIONS, rr.Clear(recursive=True))
-        for path in (entities.MASKS, entities.DEPTH, entities.RENDERED, entities.RENDERED_CONFIDENCE):
+        for path in (entities.MASKS, entities.MASK_NAMES, entities.DEPTH):
+            self._log(path, rr.Clear(recursive=False))
+        for path in (entities.RENDERED, entities.RENDERED_CONFIDENCE):
             self._log(path, rr.Clear(recursive=False))
         self._log(entities.COLOR, rr.EncodedImage.from_fields(clear_unset=True))
 
-    def finish(self, result: InstanceMap, frame: Frame, captions: dict[int, str]) -> None:
-        """The finished map from the last pose, and where every instance was seen best."""
+    def finish(self, result: InstanceMap, frame: Frame, beside: bool) -> tuple[int, ...]:
+        """The finished map from the last pose, and where every instance was seen best.
+
+        beside: also lay its views beside each instance's voxels. Returns the instances that have views there."""
         rows = render_rows(result.voxel_index, self._voxel_size, world_from_color(frame), frame.rig.color)
         self._log_views(rows, result.voxel_instance, result.voxel_confidence)
         table = self._map.instance_of
-        sheet = self._views.sheet(result.instance_id.tolist(), lambda f: int(table[f]) if f < len(table) else 0)
-        if sheet is None:
-            return
-        jpeg = rr.EncodedImage(contents=encode_jpeg(sheet.picture, 85), media_type="image/jpeg")
-        self._log(entities.BEST_VIEWS, jpeg, static=True)
-        names = rr.Boxes2D(
-            array=np.array(list(sheet.boxes.values()), np.float32),
+        strips = self._views.strips(result.instance_id.tolist(), lambda f: int(table[f]) if f < len(table) else 0)
+        if not strips:
+            return ()
+        summaries = {summary.id: summary for summary in result.instances}
+        names = {instance: f"{instance}: {summaries[instance].caption}" for instance in strips}
+        self._log_sheet(sheet(strips), names)
+        for instance, strip in strips.items() if beside else ():
+            said = values(votes=["; ".join(caption_votes(summaries[instance].captions))])
+            self._log(entities.instance_path(instance), _jpeg(strip), said, static=True)
+        return tuple(strips) if beside else ()
+
+    def _log_sheet(self, one: Sheet, names: Mapping[int, str]) -> None:
+        self._log(entities.BEST_VIEWS, _jpeg(one.picture), static=True)
+        boxes = rr.Boxes2D(
+            array=np.array(list(one.boxes.values()), np.float32),
             array_format=rr.Box2DFormat.XYWH,
-            labels=[f"{instance}: {captions.get(instance, '')}" for instance in sheet.boxes],
-            colors=[instance_color(instance) for instance in sheet.boxes],
+            labels=[names[instance] for instance in one.boxes],
+            colors=[instance_color(instance) for instance in one.boxes],
             show_labels=False,  # they would hide the pictures: told where one points
         )
-        self._log(entities.BEST_VIEW_NAMES, names, static=True)
+        self._log(entities.BEST_VIEW_NAMES, boxes, static=True)
+
+    def _log_names(self, masks: Sequence[Mask], labels: Mapping[int, Label]) -> None:
+        """Number, caption and instance in the middle of each mask: labels of boxes are broken to the box's width."""
+        x0, y0, x1, y1 = np.array([mask.box for mask in masks], np.float32).reshape(-1, 4).T
+        names = rr.Points2D(
+            np.stack([(x0 + x1) / 2, (y0 + y1) / 2], 1),
+            labels=[label.short for label in labels.values()],
+            colors=[label.color for label in labels.values()],
+            radii=[-2.0],  # in points of the screen
+            show_labels=True,
+        )
+        self._log(entities.MASK_NAMES, names)
 
     def _log_color(self, frame: Frame) -> None:
         if not frame.color:
@@ -129,6 +157,10 @@ class Pictures:
             about = {name: np.array([value], np.int32) for name, value in (("mask", mask), ("instance", instance))}
             self._log(path, cubes, values(**about, caption=[step.masks[mask].caption]))
         self._regions = len(step.masks)
+
+
+def _jpeg(picture: Picture) -> rr.EncodedImage:
+    return rr.EncodedImage(contents=encode_jpeg(picture, VIEW_QUALITY), media_type="image/jpeg")
 
 
 def _places(frame: Frame, numbers: NDArray[np.int32], voxel_size: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
