@@ -15,6 +15,7 @@ from test_engines import assert_equal_maps
 from typer.testing import CliRunner
 from worlds import tiny_frames
 
+from openvox.apps.compare import compare
 from openvox.apps.explain import explain
 from openvox.apps.perceive import perceive
 from openvox.apps.replay import replay
@@ -130,6 +131,14 @@ def test_a_map_of_two_passes_can_be_watched_and_resumed(recording: Path) -> None
     assert all(recording.with_name(name).exists() for name in ("half.rrd", "rest.rrd"))
     assert rest["frames"] == 2
     assert len(rest["passes"]) == 1
+
+
+def test_compare_says_how_often_frames_were_mapped_where_that_differs(recording: Path) -> None:
+    once, twice = (Path(replayed(recording, f"p{n}", passes=n)["outputs"]["map"]) for n in (1, 2))
+    found = compare(once, twice)
+    assert (found["a"]["passes"], found["b"]["passes"]) == (1, 2)
+    assert found["notes"] == ["the frames were mapped once in A, 2 times in B (replay --passes)"]
+    assert compare(once, once)["notes"] == []
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ from openvox.apps.sweeping.pool import in_processes
 from openvox.apps.sweeping.shared import shared_frames
 from openvox.apps.sweeping.summary import best, described_sets, effects
 from openvox.core.errors import InputError
-from openvox.formats.perception import perception_info
 from openvox.formats.recording import RecordingWriter
 
 RUN = Run(preset="openvox", params=None, engine="cpu", start=None, end=None, stride=1)
@@ -285,7 +284,7 @@ def test_a_set_that_failed_somewhere_is_not_ranked() -> None:
 
 
 def test_frames_are_decoded_once_for_items_of_one_recording(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = perception_info(recording.with_suffix(".perception.mcap"))
+    found = recording.with_suffix(".perception.mcap")
     first = list(shared_frames(recording, found, None, None, 1))
     assert [frame.index for frame, _ in first] == [0, 1, 2, 3]
     again = list(shared_frames(recording, found, None, None, 1))

@@ -159,6 +159,12 @@ def test_of_replicas_fine_mesh_one_point_a_cell_and_object_is_kept(replica: Path
             lambda f: (f / "mesh_semantic.ply").write_bytes(ply([(0, 0, 0)] * 4, [((0, 1, 2, 3), 1), ((0, 1, 2), 1)])),
             "do not fit|unequal lengths",
         ),
+        (
+            lambda f: (f / "mesh_semantic.ply").write_bytes(
+                ply([(0, 0, 0)], [((256, 0, 0), 1)]).replace(b"list uchar", b"list int32")
+            ),
+            "a face has a list of",
+        ),
         (lambda f: (f / "mesh_semantic.ply").write_bytes(ply([(0, 0, np.nan)], [((0, 0, 0), 1)])), "is not finite"),
     ],
 )

@@ -39,6 +39,12 @@ class Side:
         return self.map.meta if self.map is not None else self.trace.run if self.trace is not None else {}
 
     @property
+    def passes(self) -> int:
+        """How often the frames were mapped."""
+        before = self.about.get("passes_before")
+        return 1 + (len(before) if isinstance(before, list) else 0)
+
+    @property
     def inputs(self) -> dict[str, Any]:
         """Digests of the recording and the perception that were mapped."""
         if self.map is not None:
@@ -155,6 +161,7 @@ def _described(side: Side) -> dict[str, Any]:
         "trace": None if side.trace_file is None else str(side.trace_file),
         "preset": side.about.get("preset"),
         "frames": trace.frames if trace is not None else side.about.get("frames"),
+        "passes": side.passes,
         "map_digest": None if found is None else map_digest(found),
         "trace_digest": None if trace is None else trace.digest,
         "voxels": None if found is None else len(found.voxel_index),
@@ -234,9 +241,15 @@ def _notes(kind: str, one: Side, other: Side) -> list[str]:
             f"voxels of {one.map.voxel_size:g} and {other.map.voxel_size:g} m are compared by place: the centre of "
             "each is looked up in the other map, within 1.5 of its edges"
         )
+    if one.passes != other.passes:
+        notes.append(f"the frames were mapped {_times(one.passes)} in A, {_times(other.passes)} in B (replay --passes)")
     if one.inputs["recording"] != other.inputs["recording"]:
         notes.append("the two were made from different recordings; instances are compared by their place in the world")
     return notes
+
+
+def _times(passes: int) -> str:
+    return "once" if passes == 1 else f"{passes} times"
 
 
 def _draw(out: Path, one: Side, other: Side, matching: Matching | None, result: Mapping[str, Any]) -> None:

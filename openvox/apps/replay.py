@@ -14,12 +14,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from openvox.apps.joined import joined_frames
 from openvox.apps.loop import Observer, run
 from openvox.apps.memory import MemoryLimit
 from openvox.apps.passes import check_passes, first_passes, pass_row
 from openvox.apps.resume import beginning, chain_state
 from openvox.apps.timing import STAGES, Ran, Stopwatch, summary
-from openvox.core.digest import frame_digest, map_digest
+from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
 from openvox.core.mapper_parameters import MapperParameters, preset
 from openvox.core.parameters import as_dict, from_assignments, from_toml, updated
@@ -29,8 +30,8 @@ from openvox.formats.growing import PARTIAL, final_name, finished_or_not, is_unf
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import write_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
-from openvox.formats.perception import FrameMasks, PerceptionInfo, perception_info, read_masks
-from openvox.formats.recording import RecordingInfo, read_frames, recording_info
+from openvox.formats.perception import PerceptionInfo, perception_info
+from openvox.formats.recording import RecordingInfo, recording_info
 from openvox.formats.times import times_path, write_times
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
@@ -94,7 +95,7 @@ def replay(
     )
 
     def frames() -> closing[Generator[tuple[Frame, tuple[Mask, ...] | None], None, None]]:
-        return closing(read_ahead(_timed((read or joined_frames)(recording, found, start, end, stride), watch), 4))
+        return closing(read_ahead(_timed((read or joined_frames)(recording, found.path, start, end, stride), watch), 4))
 
     watching: list[Observer] = [counter, *([MemoryLimit(max_memory)] if max_memory else [])]
     rows, chain, before = first_passes(passes, mapper, frames, watching, earlier.chain)
@@ -245,27 +246,6 @@ def _check_outputs(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
         if path.resolve() in taken:
             raise InputError(f"{path}: would be overwritten by what is made from it; choose another --out")
         taken.add(path.resolve())
-
-
-def joined_frames(
-    recording: Path, found: PerceptionInfo, start: int | None, end: int | None, stride: int
-) -> Iterator[tuple[Frame, tuple[Mask, ...] | None]]:
-    """Every chosen frame with its masks, None where perception did not look. Raises InputError where they disagree."""
-    masks = read_masks(found.path, start=start, end=end)
-    waiting: FrameMasks | None = next(masks, None)
-    with closing(read_frames(recording, start=start, end=end, stride=stride, truth=False)) as frames:
-        for frame in frames:
-            while waiting is not None and waiting.index < frame.index:
-                waiting = next(masks, None)
-            if waiting is None or waiting.index != frame.index:
-                yield frame, None
-                continue
-            if waiting.frame_digest != frame_digest(frame):
-                raise InputError(
-                    f"{found.path}, frame {frame.index}: its masks were made from other pixels than those of "
-                    f"{recording}; run openvox perceive {recording} again"
-                )
-            yield frame, waiting.masks
 
 
 def _timed(

@@ -6,31 +6,21 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.apps.joined import Follower
 from openvox.core.errors import InputError
 from openvox.core.types import Candidate, Decision, Frame, Intrinsics, Mask, Pose, Rig, Step, VoxelChanges
 from openvox.formats.perception import FrameMasks, read_masks
 from openvox.formats.recording import read_frames
 from openvox.formats.trace import TraceFrame, read_trace
 from openvox.formats.trace_schemas import VotesChanged
+from openvox.view import votes
 
-
-class Numbered(Protocol):
-    """A frame, or what was found in one."""
-
-    @property
-    def index(self) -> int:
-        """The frame's number."""
-
-
-T = TypeVar("T", bound=Numbered)
 NO_CAMERA = Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0)
-NAMELESS = -1
-"""Votes that belong to no fragment and count in totals only."""
 
 
 @dataclass(frozen=True)
@@ -44,13 +34,13 @@ class Pictures:
 def steps_of(trace: Path, pictures: Pictures) -> Iterator[Step]:
     """Every step of the run. A frame without its recording has no colour, a depth of one pixel and no true pose; a mask
     without its perception has a caption and no pixels. Raises InputError."""
-    votes, instance_of = Votes(), dict[int, int]()
+    told_votes, instance_of = Votes(), dict[int, int]()
     with closing(_frames(pictures)) as frames:
-        seen, found = _Follower(frames), _Follower(_masks(pictures))
+        seen, found = Follower(frames), Follower(_masks(pictures))
         for told in read_trace(trace):
             where = f"{trace}, frame {told.frame}"
             instance_of.update(told.regrouped)
-            changes = votes.apply(where, told.changes)
+            changes = told_votes.apply(where, told.changes)
             if not set(changes.owner.tolist()) <= {0, *instance_of}:
                 raise InputError(f"{where}: it does not say whose the fragments are; replay again with this openvox")
             masks = found.at(told.frame)
@@ -64,7 +54,7 @@ def steps_of(trace: Path, pictures: Pictures) -> Iterator[Step]:
                 events=told.events,
                 changes=changes,
                 instance_of=dict(instance_of),
-                voxels=votes.voxels,
+                voxels=told_votes.voxels,
             )
 
 
@@ -81,12 +71,11 @@ def _nameplate(row: Mapping[str, Any]) -> Mask:
 
 
 class Votes:
-    """All votes of a map, sorted by voxel, then fragment; grows with what a trace tells."""
+    """All votes of a map, as a trace tells them, and what steps say of them."""
 
     def __init__(self) -> None:
         self.voxels = 0
-        self._key = np.zeros(0, np.int64)  # voxel << 32 | fragment - NAMELESS
-        self._count = np.zeros(0, np.int64)
+        self._votes = votes.Votes()
 
     def apply(self, where: str, told: VotesChanged) -> VoxelChanges:
         """Take over the counts of a frame; returns its changes with the owners and shares that follow from them.
@@ -94,38 +83,24 @@ class Votes:
         where: the file and the frame, for InputError if the counts do not go on from what was told before."""
         if told.first_new != self.voxels:
             raise InputError(
-                f"{where}: it goes on from {told.first_new} voxels where {self.voxels} were told (a run that was "
-                "resumed tells its own frames only); view its map, or replay the recording from the start"
+                f"{where}: it goes on from {told.first_new} voxels where {self.voxels} were told, a part is missing; "
+                "view its map, or replay again"
             )
         self.voxels += len(told.new_index)
         if len(told.voxel) and not (told.voxel.min() >= 0 and told.voxel.max() < self.voxels):
             raise InputError(f"{where}: it tells of voxels that it never named; replay again")
-        if len(told.voxel) and not (told.fragment.min() >= NAMELESS and told.count.min() >= 0):
+        if len(told.voxel) and not (told.fragment.min() >= votes.NAMELESS and told.count.min() >= 0):
             raise InputError(f"{where}: it tells of negative counts or fragments; replay again")
-        self._write((told.voxel.astype(np.int64) << 32) | (told.fragment.astype(np.int64) - NAMELESS), told.count)
+        self._votes.add(told.voxel.astype(np.int64), told.fragment, told.count)
         touched = np.unique(told.voxel)
         owner, share = self._owners(touched.astype(np.int64))
         return VoxelChanges(
             told.first_new, told.new_index, told.voxel, told.fragment, told.count, touched, owner, share
         )
 
-    def _write(self, key: NDArray[np.int64], count: NDArray[np.int32]) -> None:
-        order = np.argsort(key, kind="stable")
-        key, count = key[order], count[order]
-        place = np.searchsorted(self._key, key)
-        known = place < len(self._key)
-        known[known] = self._key[place[known]] == key[known]
-        self._count[place[known]] = count[known]
-        self._key = np.insert(self._key, place[~known], key[~known])
-        self._count = np.insert(self._count, place[~known], count[~known])
-
     def _owners(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Owner of each voxel and its share of all votes there, Q20: as core.types.VoxelChanges has them."""
-        first, last = np.searchsorted(self._key, [rows << 32, (rows + 1) << 32])
-        length = last - first
-        group = np.repeat(np.arange(len(rows)), length)
-        entry = np.arange(len(group)) + np.repeat(first - (np.cumsum(length) - length), length)
-        fragment, count = (self._key[entry] & 0xFFFFFFFF) + NAMELESS, self._count[entry]
+        group, fragment, count = self._votes.of(rows)
         total = np.bincount(group, count, len(rows)).astype(np.int64)  # exact: far below 2**53
         background = np.bincount(group[fragment == 0], count[fragment == 0], len(rows)).astype(np.int64)
         best, most = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.int64)
@@ -136,20 +111,6 @@ class Votes:
         owned = most > background
         share = (np.where(owned, most, background) << 20) // np.maximum(total, 1)
         return np.where(owned, best, 0).astype(np.int32), share.astype(np.int32)
-
-
-class _Follower(Generic[T]):
-    """Items with rising numbers (`index`), fetched as far as they are asked for."""
-
-    def __init__(self, items: Iterator[T]) -> None:
-        self._items = items
-        self._next = next(items, None)
-
-    def at(self, number: int) -> T | None:
-        """The item of this number, None if there is none; numbers asked for must rise."""
-        while self._next is not None and self._next.index < number:
-            self._next = next(self._items, None)
-        return self._next if self._next is not None and self._next.index == number else None
 
 
 def _frames(pictures: Pictures) -> Generator[Frame, None, None]:

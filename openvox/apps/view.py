@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from openvox.apps.info import kind_of
+from openvox.apps.joined import joined_frames
 from openvox.apps.origin import belonging, named_digest
 from openvox.apps.retrace import Pictures, steps_of
-from openvox.core.digest import frame_digest
 from openvox.core.errors import InputError, OutputError
 from openvox.core.types import Frame, InstanceMap, Mask
 from openvox.formats.atomic import check_not_input, check_writable
@@ -20,8 +20,8 @@ from openvox.formats.growing import final_name, finished_or_not
 from openvox.formats.map_npz import SUFFIX as MAP_SUFFIX
 from openvox.formats.map_npz import read_map
 from openvox.formats.perception import SUFFIX as PERCEPTION_SUFFIX
-from openvox.formats.perception import perception_info, read_masks
-from openvox.formats.recording import read_frames, recording_info
+from openvox.formats.perception import perception_info
+from openvox.formats.recording import recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceInfo, trace_info
 
@@ -141,18 +141,7 @@ def _seen(
         perception = beside if beside.exists() else None
         if perception is None:
             notice(f"{beside} is not there: shown without masks")
-    masks = read_masks(perception) if perception else iter(())
-    waiting = next(masks, None)
-    with closing(read_frames(source, truth=False)) as frames:
-        for frame in frames:
-            while waiting is not None and waiting.index < frame.index:
-                waiting = next(masks, None)
-            if waiting is None or waiting.index != frame.index:
-                yield frame, None
-                continue
-            if waiting.frame_digest != frame_digest(frame):
-                raise InputError(f"{perception}, frame {frame.index}: its masks are of another recording than {source}")
-            yield frame, waiting.masks
+    return joined_frames(source, perception)
 
 
 def _draw_trace(path: Path, out: Path, recording: Path | None, notice: Notice, progress: Progress | None) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from openvox.core.errors import InputError
 
 MAX_HEADER = 1 << 16
+MAX_CORNERS = 255
 MAX_ROWS = 1 << 28
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -82,7 +83,9 @@ def _rows(path: Path, element: _Element, data: bytes, at: int) -> tuple[NDArray[
         if len(kinds) == 2:
             raw = data[here : here + np.dtype(kinds[0]).itemsize]
             items = int(np.frombuffer(raw, kinds[0])[0]) if element.rows and raw else 0
-            fields += [(f"{name}_count", kinds[0]), (name, kinds[1], (max(0, min(items, 255)),))]
+            if not 0 <= items <= MAX_CORNERS:
+                raise InputError(f"{path}: a {element.name} has a list of {items}; expected at most {MAX_CORNERS}")
+            fields += [(f"{name}_count", kinds[0]), (name, kinds[1], (items,))]
         else:
             fields.append((name, kinds[0]))
         here = at + np.dtype(fields).itemsize

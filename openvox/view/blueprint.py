@@ -46,6 +46,23 @@ def blueprint(eye: Eye | None = None, *, pictures: bool = True, pictured: Sequen
     pictures: whether there is a column for them, and what is under each mask in space. pictured: instances
     that have a picture beside their voxels, which a 3D view is not to draw."""
     columns = [_maps(eye, pictures, pictured), *([_pictures()] if pictures else []), _numbers()]
+    return _side_by_side(columns, pictures)
+
+
+def opening(*, pictures: bool) -> rrb.Blueprint:
+    """The front views alone: what is seen of a long file until the layout has come, which stands at its end.
+
+    A whole layout takes 160 kB."""
+    shown = [f"+ {path}/**" for path in (entities.CAMERA, entities.TRAJECTORY, entities.INSTANCES, entities.TOUCHED)]
+    columns = [
+        rrb.Spatial3DView(origin=entities.WORLD, contents=shown, name="Instances"),
+        *([rrb.Spatial2DView(origin=entities.COLOR, name="Detected masks")] if pictures else []),
+        rrb.TextDocumentView(origin=entities.DECISION_TABLE, name="Decisions of this frame"),
+    ]
+    return _side_by_side(columns, pictures)
+
+
+def _side_by_side(columns: Sequence[Any], pictures: bool) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=[11, 8, 15] if pictures else [1, 1]),
         rrb.TimePanel(state="collapsed", timeline=entities.FRAME),

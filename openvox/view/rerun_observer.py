@@ -20,7 +20,7 @@ from openvox.core.errors import OutputError
 from openvox.core.types import Event, Frame, InstanceMap, Step
 from openvox.formats.atomic import partial_file
 from openvox.view import decision_table, entities, viewer
-from openvox.view.blueprint import blueprint, overview
+from openvox.view.blueprint import blueprint, opening, overview
 from openvox.view.decision_graph import decision_graph
 from openvox.view.labels import Captions
 from openvox.view.live_map import LiveMap
@@ -161,7 +161,7 @@ class RerunObserver:
             with ExitStack() as stack:
                 self._partial = stack.enter_context(partial_file(target))
                 try:
-                    self._recording.save(self._partial)  # its layout comes at the end, with an eye for its map
+                    self._recording.save(self._partial, default_blueprint=opening(pictures=self._with_pictures))
                 except RuntimeError as error:  # what Rerun makes of the system's refusal
                     raise OSError(str(error)) from error
                 self._file = stack.pop_all()

@@ -33,12 +33,17 @@ class Votes:
         """Share and entropy of these voxels, as `shares_and_entropies` has them.
 
         own: the instance of each; instance_of: by fragment, as an array."""
+        group, fragment, count = self.of(rows)
+        return shares_and_entropies(group, instance_of[np.maximum(fragment, 0)], count, own)
+
+    def of(self, rows: Longs) -> tuple[Longs, Longs, NDArray[np.int32]]:
+        """All votes of these voxels: the place in `rows` of each one's voxel, its fragment, its count."""
         self._settle()
         first, last = np.searchsorted(self._key, [rows << 32, (rows + 1) << 32])
-        group = np.repeat(np.arange(len(rows)), last - first)
-        entry = np.arange(len(group)) + np.repeat(first - np.cumsum(last - first) + (last - first), last - first)
-        fragment = np.maximum((self._key[entry] & 0xFFFFFFFF) + NAMELESS, 0)
-        return shares_and_entropies(group, instance_of[fragment], self._count[entry], own)
+        length = last - first
+        group = np.repeat(np.arange(len(rows)), length)
+        entry = np.arange(len(group)) + np.repeat(first - (np.cumsum(length) - length), length)
+        return group, (self._key[entry] & 0xFFFFFFFF) + NAMELESS, self._count[entry]
 
     def _settle(self) -> None:
         if not self._waiting:

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from openvox.apps.replay import joined_frames
+from openvox.apps.joined import joined_frames
 from openvox.core.types import Frame, Mask
-from openvox.formats.perception import PerceptionInfo
 
 LIMIT = 256 << 20
 """Bytes of pixels and masks that a process keeps; of a longer recording nothing is kept."""
@@ -17,10 +16,10 @@ _kept: dict[tuple[Any, ...], list[Joined]] = {}
 
 
 def shared_frames(
-    recording: Path, found: PerceptionInfo, start: int | None, end: int | None, stride: int
+    recording: Path, perception: Path, start: int | None, end: int | None, stride: int
 ) -> Iterator[Joined]:
-    """As apps.replay.joined_frames; decoded once for all items in a row that ask for the same. Raises InputError."""
-    files = [(path.resolve(), path.stat().st_mtime_ns, path.stat().st_size) for path in (recording, found.path)]
+    """As apps.joined.joined_frames; decoded once for all items in a row that ask for the same. Raises InputError."""
+    files = [(path.resolve(), path.stat().st_mtime_ns, path.stat().st_size) for path in (recording, perception)]
     key = (*files, start, end, stride)
     if key in _kept:
         yield from _kept[key]
@@ -28,7 +27,7 @@ def shared_frames(
     _kept.clear()
     frames: list[Joined] = []
     size = 0
-    for frame, masks in joined_frames(recording, found, start, end, stride):
+    for frame, masks in joined_frames(recording, perception, start, end, stride):
         size += frame.depth.nbytes + len(frame.color) + sum(_bytes(mask) for mask in masks or ())
         if size <= LIMIT:
             frames.append((frame, masks))
