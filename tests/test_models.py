@@ -111,6 +111,30 @@ def test_another_encoder_computes_embeddings_only(recording, models, monkeypatch
     assert [sorted(frames) for frames in calls] == [[0, 1, 2, 3], [0, 1, 2, 3]]
 
 
+@pytest.mark.parametrize("frontend", ["models", "offline", "geometry", "oracle"])
+def test_a_complete_cache_loads_no_model(recording, models, monkeypatch, frontend):
+    import onnxruntime
+
+    from openvox.perception.encoder import encoder
+
+    loaded: list[str] = []
+    original = onnxruntime.InferenceSession
+
+    def session(file: Path, *rest: Any, **more: Any) -> Any:
+        loaded.append(Path(file).name)
+        return original(file, *rest, **more)
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    options = {"frontend": frontend, "models": models if frontend == "models" else None}
+    encoder.cache_clear()
+    perceive(recording, **options)
+    assert loaded  # every front end has at least an encoder
+    loaded.clear()
+    encoder.cache_clear()
+    assert perceive(recording, **options).untouched
+    assert loaded == []
+
+
 def test_the_number_of_workers_changes_no_byte(recording, models):
     outputs = [
         perceive(recording, models=models, jobs=jobs, out=recording.with_name(f"{jobs}.mcap")) for jobs in (1, 3)
@@ -228,5 +252,8 @@ def test_a_gpu_is_tried_first_where_there_is_one(models, monkeypatch):
 
     monkeypatch.setattr(onnxruntime, "InferenceSession", session)
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: [CPU, "CUDAExecutionProvider", "Other"])
-    assert Model.of_user(models.parent / "det.onnx").device == "CPU"  # what it fell back to
+    model = Model.of_user(models.parent / "det.onnx")
+    assert model.device == "CUDA"
+    model.load()
+    assert model.device == "CPU"  # what it fell back to
     assert asked == [["CUDAExecutionProvider", CPU]]

@@ -43,7 +43,9 @@ def yolo(folder: Path, words: str | None = "cup\nchair\n", **options: Any) -> Yo
         (folder / "words.txt").write_text(words)
         options["words"] = "words.txt"
     setting = Setting(None, PerceptionParameters(), "my.toml", folder)  # type: ignore[arg-type]
-    return Yolo(YoloOptions(file="d.onnx", **options), setting)
+    detector = Yolo(YoloOptions(file="d.onnx", **options), setting)
+    detector.prepare()
+    return detector
 
 
 # Coordinates: a 64x64 model sees the picture, and finds what is red at exact edges
@@ -312,7 +314,7 @@ def test_a_file_without_words_is_a_sentence(tmp_path, words, sentence):
 # Cache
 
 
-@pytest.mark.parametrize("change", [{"score": 0.5}, {"top_k": 7}, {"overlap": 0.5}, {"words": "cup\nsofa\n"}])
+@pytest.mark.parametrize("change", [{"score": 0.5}, {"top_k": 7}, {"overlap": 0.5}, {"side": 96}, {"words": "cup\nsofa\n"}])
 def test_whatever_changes_boxes_changes_the_digest(tmp_path, change: dict[str, Value]):
     graphs.looking_detector(tmp_path / "d.onnx", words=2)
     (frame,) = tiny_frames(1)

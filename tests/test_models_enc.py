@@ -120,4 +120,4 @@ def test_a_model_of_another_signature_names_what_was_found(tmp_path):
     with pytest.raises(
         InputError, match=r"has inputs input_image float\[1,3,64,64\].*expected input_ids and attention"
     ):
-        Sentences(folder)
+        Sentences(folder).encode(["cup"])

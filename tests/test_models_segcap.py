@@ -159,7 +159,7 @@ def test_a_decoder_that_wants_more_is_told_with_what_there_is(tmp_path):
     graphs.image_encoder(tmp_path / "e.onnx")
     graphs.sam_decoder(tmp_path / "d.onnx", extra="temperature")
     with pytest.raises(InputError) as raised:
-        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path))
+        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path)).prepare()
     assert "temperature float[1]" in str(raised.value)
     assert "; the encoder has inputs input_image float[1,3,64,64], outputs image_embeddings" in str(raised.value)
 
@@ -168,9 +168,9 @@ def test_encoder_and_decoder_the_wrong_way_round_are_told(tmp_path):
     graphs.image_encoder(tmp_path / "e.onnx")
     graphs.sam_decoder(tmp_path / "d.onnx")
     with pytest.raises(InputError, match=r"d.onnx has inputs image_embeddings .*expected an image encoder with one"):
-        Sam(SamOptions(encoder="d.onnx", decoder="e.onnx"), setting(tmp_path))
+        Sam(SamOptions(encoder="d.onnx", decoder="e.onnx"), setting(tmp_path)).prepare()
     with pytest.raises(InputError, match=r"e.onnx has inputs input_image .* expected the decoder that belongs to the"):
-        Sam(SamOptions(encoder="e.onnx", decoder="e.onnx"), setting(tmp_path))
+        Sam(SamOptions(encoder="e.onnx", decoder="e.onnx"), setting(tmp_path)).prepare()
 
 
 @pytest.mark.parametrize(
@@ -282,13 +282,13 @@ def test_tap_answers_boxes_with_masks_and_sentences(tmp_path, package):
 def test_weights_that_are_more_than_tensors_are_refused(tmp_path, package):
     (tmp_path / "w.pt").write_bytes(b"a pickle")
     with pytest.raises(InputError, match=r"w.pt: cannot be read as tensors only \(Weights only load failed.\); docs/"):
-        Tap(TapOptions(weights="w.pt"), setting(tmp_path))
+        Tap(TapOptions(weights="w.pt"), setting(tmp_path)).prepare()
 
 
 def test_an_architecture_that_the_package_lacks_is_a_sentence(tmp_path, package):
     (tmp_path / "w.pt").write_bytes(b"tensors")
     with pytest.raises(InputError, match=r"tokenize-anything has no model tap_vit_h; it has tap_vit_l"):
-        Tap(TapOptions(weights="w.pt", model="tap_vit_h"), setting(tmp_path))
+        Tap(TapOptions(weights="w.pt", model="tap_vit_h"), setting(tmp_path)).prepare()
 
 
 def test_without_the_authors_package_tap_is_a_sentence(tmp_path, monkeypatch):
@@ -297,7 +297,7 @@ def test_without_the_authors_package_tap_is_a_sentence(tmp_path, monkeypatch):
     with pytest.raises(
         InputError, match=r"tap needs the packages tokenize-anything, torch and flash-attn .* stage sam"
     ):
-        Tap(TapOptions(weights="w.pt"), setting(tmp_path))
+        Tap(TapOptions(weights="w.pt"), setting(tmp_path)).prepare()
 
 
 def test_an_input_of_a_type_that_these_models_do_not_have_is_a_sentence(tmp_path):
@@ -310,4 +310,4 @@ def test_an_input_of_a_type_that_these_models_do_not_have_is_a_sentence(tmp_path
     with pytest.raises(
         InputError, match=r"input_image uint8\[\?,\?,3\].* expected inputs of type float, float16, int32"
     ):
-        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path))
+        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path)).prepare()

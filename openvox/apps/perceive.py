@@ -109,6 +109,7 @@ def perceive(
             lacking = [n for n in sorted(file.frames) if selection.has(n) and n not in found.asked] if file else []
             interrupted(target, forget=True)
         else:
+            pipeline.prepare()
             work = _Work(info, pipeline, file, selection, found.beside, jobs, progress)
             reused, lacking = _write(target, work, notes)
     written = perception_info(target)

@@ -19,8 +19,12 @@ class Texts(Protocol):
     """A sentence encoder."""
 
     name: str
-    dimensions: int
     model_digest: str
+
+    @property
+    def dimensions(self) -> int:
+        """Length of a vector; to know it the model may have to be loaded."""
+        ...
 
     def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
         """(n, dimensions), rows of unit length."""
@@ -33,11 +37,23 @@ class CaptionEncoder:
     def __init__(self, encoder: Texts, parameters: Mapping[str, Value] | None = None) -> None:
         self.texts = encoder
         self.name = encoder.name
-        self.dimensions = encoder.dimensions
         self.model_digest = encoder.model_digest
-        self.device: str = getattr(encoder, "device", "CPU")
         self.parameters: Mapping[str, Value] = parameters or {}
         self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest)
+
+    @property
+    def dimensions(self) -> int:
+        """Of the encoder."""
+        return self.texts.dimensions
+
+    @property
+    def device(self) -> str:
+        """What the encoder runs on."""
+        return getattr(self.texts, "device", "CPU")
+
+    def prepare(self) -> None:
+        """Has the encoder loaded."""
+        self.texts.encode(["a cup"])
 
     def digest(self, frame: Frame) -> str:
         """The model's, for every frame."""

@@ -45,8 +45,13 @@ class TextEncoder:
         self.model_digest = self._model.digest
         self._tokenizer = BertWordPieceTokenizer(str(folder / "vocab.txt"), lowercase=True)
         self._tokenizer.enable_truncation(MAX_TOKENS)
-        self.dimensions: int = self._model.width()
         self._vector = lru_cache(_REMEMBERED)(self._encode)
+
+    @property
+    def dimensions(self) -> int:
+        """Length of a vector, as the model says."""
+        length: int = self._model.outputs["last_hidden_state"][1][-1]
+        return length
 
     def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
         """(n, dimensions) float32, one row of unit length for each text."""

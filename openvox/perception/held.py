@@ -12,6 +12,10 @@ from openvox.formats.recording import RecordingInfo, read_frames, selected
 from openvox.perception.pipeline import Pipeline
 
 
+NOT_COMPARED = ("openvox_version", "dimensions")
+"""The length of vectors follows from the encoder's digest; to ask for it would load the encoder."""
+
+
 @dataclass(frozen=True)
 class Selection:
     """Frame numbers that are asked for; see formats.recording.selected."""
@@ -53,11 +57,11 @@ def held(target: Path, recording: RecordingInfo, pipeline: Pipeline, selection: 
         return Held()
     try:
         known = {found.index: found for found in map(_without_masks, read_masks(target))}
-        begin = begin_metadata(target, recording, pipeline.described(), pipeline.enc.name, pipeline.enc.dimensions)
+        begin = begin_metadata(target, recording, pipeline.described(), pipeline.enc.name, 0)
         metadata = perception_info(target).metadata
     except InputError:
         return Held()
-    complete = all(metadata.get(key) == value for key, value in begin.items() if key != "openvox_version")
+    complete = all(metadata.get(key) == value for key, value in begin.items() if key not in NOT_COMPARED)
     if selection.everything and not complete:
         return Held()
     same, asked = set[int](), set[int]()

@@ -32,6 +32,10 @@ class Namer:
         self._classes = np.array(sorted(table))
         self._noun_of = np.array([self.nouns.index(table[number]) for number in self._classes.tolist()])
 
+    def prepare(self) -> None:
+        """Loads the model."""
+        self._model.load()
+
     def __call__(self, rgb: NDArray[np.uint8], masks: Sequence[Mask]) -> list[list[tuple[str, float]]]:
         """The likelier nouns of each mask, best first, and their probability among all classes, indoors or not."""
         found = []

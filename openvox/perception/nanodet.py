@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from openvox.core.parameters import Value
 from openvox.core.types import Frame
@@ -31,11 +33,21 @@ class NanoDet:
         self._parameters = parameters
         self._model = Model(FOLDER / "nanodet_g_416_fp16w.onnx", FOLDER / "outdoor_words.json")
         self.model_digest = self._model.digest
-        self._words = self._model.metadata["names"].split("\n")
-        outdoor = json.loads((FOLDER / "outdoor_words.json").read_text())
-        self._indoors = np.array([word not in outdoor for word in self._words])
         self.parameters: Mapping[str, Value] = {"offline.box_score": parameters.box_score}
         self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest)
+
+    @cached_property
+    def _words(self) -> list[str]:
+        return self._model.metadata["names"].split("\n")
+
+    @cached_property
+    def _indoors(self) -> NDArray[np.bool_]:
+        outdoor = json.loads((FOLDER / "outdoor_words.json").read_text())
+        return np.array([word not in outdoor for word in self._words])
+
+    def prepare(self) -> None:
+        """Loads the model."""
+        self._model.load()
 
     def digest(self, frame: Frame) -> str:
         """The same for every frame."""

@@ -78,6 +78,10 @@ class Offline:
         }
         self._digest = stage_digest(self.name, VERSION, self.parameters, self.model_digest, room.digest())
 
+    def prepare(self) -> None:
+        """Loads the classifier."""
+        self._namer.prepare()
+
     def digest(self, frame: Frame) -> str:
         """Parameters, model and planes, and from where the frame sees them."""
         pose = frame.world_from_depth

@@ -10,6 +10,7 @@ import mmap
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from threading import Lock
 from typing import Any, Self
 
 import numpy as np
@@ -33,54 +34,73 @@ _OUTSIDE = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])([^\x00-\x1f\x7f-\xff]
 
 
 class Model:
-    """A loaded file. `digest`: SHA-256 over it and the files that belong to it. `metadata`: texts kept in the file.
-    `inputs`, `outputs`: name to (type, shape); None or a word stands for a side that is left open. `device`: "CPU",
-    or the kind of GPU.
+    """An ONNX file, loaded when it is first asked for more than its digest: SHA-256 over it and those that belong to it.
 
-    Safe to run from several threads. Raises InputError if a file cannot be read."""
+    Safe to use from several threads. Raises InputError if a file cannot be read."""
 
     def __init__(self, file: Path, *others: Path) -> None:
-        self.digest = digest_of_files(file, *others)
-        self._open(file, [CPU])
+        self.file, self.digest = file, digest_of_files(file, *others)
+        self._providers: Sequence[str] = [CPU]
+        self._loaded: Any = None
+        self._lock = Lock()
 
     @classmethod
     def of_user(cls, file: Path, *others: Path) -> Self:
-        """A file that did not come with openvox: its size is checked, and where it says that its weights lie.
-
-        Raises InputError, also if onnxruntime cannot make sense of it."""
+        """A file that did not come with openvox: its size is checked, and where it says that its weights lie."""
         import onnxruntime
 
         weights = _weights_beside(file)
         for path in (file, *weights, *others):
             check_size(path)
-        model = cls.__new__(cls)
-        model.digest = digest_of_files(file, *weights, *others)
+        model = cls(file, *weights, *others)
         present = onnxruntime.get_available_providers()
-        try:
-            model._open(file, [*(name for name in GPUS if name in present), CPU])
-        except Exception as error:  # onnxruntime raises a dozen kinds that share no name
-            raise InputError(
-                f"{file}: cannot be loaded as an ONNX model ({first_line(error)}); export it again"
-            ) from None
+        model._providers = [*(name for name in GPUS if name in present), CPU]
         return model
 
-    def _open(self, file: Path, providers: Sequence[str]) -> None:
-        import onnxruntime
+    def load(self) -> Any:
+        """The session of onnxruntime, made once. Raises InputError if onnxruntime cannot make sense of the file."""
+        with self._lock:
+            if self._loaded is None:
+                import onnxruntime
 
-        self.file = file
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.log_severity_level = 3
-        self._session = onnxruntime.InferenceSession(file, options, providers=list(providers))
-        self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
-        self.inputs = {node.name: (node.type, node.shape) for node in self._session.get_inputs()}
-        self.outputs = {node.name: (node.type, node.shape) for node in self._session.get_outputs()}
-        self.device = GPUS.get(self._session.get_providers()[0], "CPU")
+                options = onnxruntime.SessionOptions()
+                options.intra_op_num_threads = 1
+                options.log_severity_level = 3
+                try:
+                    self._loaded = onnxruntime.InferenceSession(self.file, options, providers=self._providers)
+                except Exception as error:  # onnxruntime raises a dozen kinds that share no name
+                    raise InputError(
+                        f"{self.file}: cannot be loaded as an ONNX model ({first_line(error)}); export it again"
+                    ) from None
+            return self._loaded
+
+    @property
+    def device(self) -> str:
+        """ "CPU" or the kind of GPU: what it runs on, or before it is loaded what will be tried first."""
+        tried = self._providers if self._loaded is None else self._loaded.get_providers()
+        return GPUS.get(tried[0], "CPU")
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """Texts that are kept in the file."""
+        found: Mapping[str, str] = self.load().get_modelmeta().custom_metadata_map
+        return found
+
+    @property
+    def inputs(self) -> Mapping[str, tuple[str, Sequence[Any]]]:
+        """Name to (type, shape), in order; None or a word stands for a side that is left open."""
+        return {node.name: (node.type, node.shape) for node in self.load().get_inputs()}
+
+    @property
+    def outputs(self) -> Mapping[str, tuple[str, Sequence[Any]]]:
+        """The same."""
+        return {node.name: (node.type, node.shape) for node in self.load().get_outputs()}
 
     def run(self, outputs: Sequence[str], **inputs: NDArray[Any]) -> list[NDArray[Any]]:
         """The named outputs for the named inputs. Raises InputError if the model cannot work on them."""
+        session = self.load()
         try:
-            found: list[NDArray[Any]] = self._session.run(list(outputs), inputs)
+            found: list[NDArray[Any]] = session.run(list(outputs), inputs)
         except Exception as error:  # onnxruntime raises a dozen kinds that share no name
             raise InputError(
                 f"{self.file}: the model failed ({first_line(error)}); it has {self.signature()}"
@@ -91,15 +111,11 @@ class Model:
         """All outputs by name. values: of at least the inputs, each brought to the type that the input has.
 
         Raises InputError, also for an input of another type than these models have."""
-        if not {kind for kind, _ in self.inputs.values()} <= TYPES.keys():
+        wanted, outputs = self.inputs, list(self.outputs)
+        if not {kind for kind, _ in wanted.values()} <= TYPES.keys():
             raise self.refused("inputs of type float, float16, int32 or int64")
-        inputs = {name: values[name].astype(TYPES[kind], copy=False) for name, (kind, _) in self.inputs.items()}
-        return dict(zip(self.outputs, self.run(list(self.outputs), **inputs), strict=True))
-
-    def width(self, output: int = 0) -> int:
-        """Length of the last axis of an output."""
-        length: int = self._session.get_outputs()[output].shape[-1]
-        return length
+        inputs = {name: values[name].astype(TYPES[kind], copy=False) for name, (kind, _) in wanted.items()}
+        return dict(zip(outputs, self.run(outputs, **inputs), strict=True))
 
     def signature(self) -> str:
         """Inputs and outputs with types and shapes, for people."""

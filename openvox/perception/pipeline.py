@@ -39,6 +39,11 @@ class Pipeline:
             for role, stage in stages
         ]
 
+    def prepare(self) -> None:
+        """Loads the models of all stages, which they else do when they are called first. Raises InputError."""
+        for stage in (self.det, self.segcap, self.enc):
+            getattr(stage, "prepare", lambda: None)()
+
     @property
     def device(self) -> str:
         """What the stages run on, in a few words."""

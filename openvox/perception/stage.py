@@ -54,7 +54,10 @@ class Segmenter(Stage, Protocol):
 class Encoder(Stage, Protocol):
     """Enc: captions to vectors."""
 
-    dimensions: int
+    @property
+    def dimensions(self) -> int:
+        """Length of a vector; to know it the model may have to be loaded."""
+        ...
 
     def __call__(self, frame: Frame, masks: Sequence[Mask]) -> NDArray[np.float32]:
         """(len(masks), dimensions), rows of unit length."""

@@ -62,6 +62,7 @@ def front_end(name: LiveFrontend) -> Eyes:
 
         stages = Offline(parameters.geometry, parameters.offline, Room())
         pipeline = Pipeline(NanoDet(parameters.offline), stages, captions)
+    pipeline.prepare()
 
     def look(frame: Frame) -> FrameMasks | None:
         return perceive_frame(pipeline, frame)[0]

@@ -1,35 +1,34 @@
-"""Det from the ONNX file of a YOLO detector, open or closed set (YOLO-World, YOLOE, YOLOv5 to v11, YOLO-NAS and kin).
+"""Det from the ONNX file of a YOLO detector, open or closed set: YOLO-World, YOLOE, YOLOv5 to v12 and kin.
 
 The vocabulary is what was baked in at export: words from a text file, or from the file's own metadata.
 """
 
 from __future__ import annotations
 
-import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from openvox.core.errors import InputError
 from openvox.core.parameters import Value, parameter
 from openvox.core.types import Frame
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
 from openvox.perception.det.boxes import letterboxed, suppressed
-from openvox.perception.det.yolo_outputs import EXPECTED, decoded, padding
+from openvox.perception.det.yolo_model import input_size, read_words, words_inside
+from openvox.perception.det.yolo_outputs import decoded, padding
 from openvox.perception.onnx import Model
 from openvox.perception.stage import stage_digest
 
 if TYPE_CHECKING:
     from openvox.perception.stages import Setting
 
-MOST_WORDS = 100_000
 CANDIDATES = 3000
 """So many of the best boxes are compared with each other."""
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,17 +54,29 @@ class Yolo:
     name = "yolo"
 
     def __init__(self, options: YoloOptions, setting: Setting) -> None:
-        words = [setting.file("det.words", options.words)] if options.words else []
+        listed = [setting.file("det.words", options.words)] if options.words else []
         self._options = options
-        self._model = Model.of_user(setting.file("det.file", options.file), *words)
-        self.device, self.model_digest = self._model.device, self._model.digest
-        self._height, self._width = _input_size(self._model, options.side)
-        self._words = _read_words(words[0]) if words else _words_inside(self._model)
-        self._find(np.zeros((self._height, self._width, 3), np.uint8))  # says at once what does not fit
-        numbers = {"det.score": options.score, "det.top_k": options.top_k, "det.overlap": options.overlap}
+        self._listed = [word for path in listed for word in read_words(path)]
+        self._model = Model.of_user(setting.file("det.file", options.file), *listed)
+        self.model_digest = self._model.digest
+        numbers: dict[str, Value] = {
+            f"det.{name}": getattr(options, name) for name in ("score", "top_k", "overlap", "side")
+        }
         self.parameters: Mapping[str, Value] = {**numbers, "det.file": self._model.file.name}
-        size = [f"{self._width}x{self._height}", self.device]
-        self._digest = stage_digest(self.name, VERSION, numbers, self.model_digest, *size)
+        self._digest = stage_digest(self.name, VERSION, numbers, self.model_digest, self.device)
+
+    @property
+    def device(self) -> str:
+        """What the model runs on."""
+        return self._model.device
+
+    @cached_property
+    def _words(self) -> list[str]:
+        return self._listed or words_inside(self._model)
+
+    def prepare(self) -> None:
+        """Loads the model and says what does not fit."""
+        self._find(np.zeros((48, 64, 3), np.uint8))
 
     def digest(self, frame: Frame) -> str:
         """The same for every frame."""
@@ -79,11 +90,12 @@ class Yolo:
         """In colour pixels, best first. Raises InputError if the model's numbers are none that boxes can have."""
         return self._find(decode_color(frame)) if frame.color else ()
 
-    def _find(self, rgb: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> tuple[Box, ...]:
+    def _find(self, rgb: NDArray[np.uint8]) -> tuple[Box, ...]:
         options, model = self._options, self._model
-        picture, place = letterboxed(rgb, self._height, self._width, padding(list(model.outputs)))
+        height, width = input_size(model, options.side)
+        picture, place = letterboxed(rgb, height, width, padding(model.outputs))
         outputs = model.run_all({next(iter(model.inputs)): picture})
-        corners, score, kind, alone = decoded(model, outputs, (self._height, self._width), len(self._words))
+        corners, score, kind, alone = decoded(model, outputs, (height, width), len(self._words))
         best = np.argsort(-score, kind="stable")[:CANDIDATES]
         best = best[score[best] >= options.score]
         corners, score, kind = place.undone(corners[best], rgb.shape[1], rgb.shape[0]), score[best], kind[best]
@@ -94,46 +106,3 @@ class Yolo:
             if word and x1 > x0 and y1 > y0:
                 found.append(Box((x0, y0, x1, y1), float(score[i]), word))
         return tuple(found[: options.top_k])
-
-
-def _input_size(model: Model, side: int) -> tuple[int, int]:
-    """(height, width) of the one picture that goes in. Raises InputError."""
-    if len(model.inputs) == 2 and any("txt" in name or "text" in name for name in model.inputs):
-        raise model.refused("one input: vectors of words cannot be given here; export with the vocabulary baked in")
-    kind, shape = next(iter(model.inputs.values()), ("", []))
-    if len(model.inputs) != 1 or len(shape) != 4 or shape[1] != 3 or kind not in ("tensor(float)", "tensor(float16)"):
-        raise model.refused(EXPECTED)
-    if isinstance(shape[0], int) and shape[0] != 1:
-        raise model.refused("one picture at a time, [1,3,height,width]; export with batch size 1")
-    height, width = (length if isinstance(length, int) else side for length in shape[2:])
-    return height, width
-
-
-def _read_words(path: Path) -> list[str]:
-    try:
-        return _checked([line.strip() for line in path.read_text(encoding="utf-8").splitlines()], path)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text, one word a line ({error})") from None
-
-
-def _words_inside(model: Model) -> list[str]:
-    """Metadata `names`: as Ultralytics writes them, a Python dict; or one a line."""
-    text = model.metadata.get("names", "")
-    try:
-        names = ast.literal_eval(text) if text[:1] in ("{", "[") else text.split("\n")
-        words = [str(names[i]) for i in range(len(names))]
-    except (ValueError, SyntaxError, KeyError, TypeError, MemoryError, RecursionError):
-        words = []
-    if not any(words):
-        raise InputError(
-            f"{model.file} holds no names of its classes; give a text file, one a line: [det] words = FILE"
-        )
-    return _checked(words, model.file)
-
-
-def _checked(words: Sequence[str], path: Path) -> list[str]:
-    if not any(words) or len(words) > MOST_WORDS:
-        raise InputError(
-            f"{path}: {len(words)} words; expected 1 to {MOST_WORDS}, one a line, in the order of the classes"
-        )
-    return list(words)

@@ -2,16 +2,16 @@
 
 | outputs | who writes them |
 |---|---|
-| `boxes` [1,n,4], `scores` [1,n,c] | YOLO-World's own export without NMS, YOLO-NAS, the NanoDet here |
-| `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], perhaps `num_dets` [1,1] | YOLO-World's own export with NMS |
+| `scores` [1,n,c], `boxes` [1,n,4] | YOLO-World's own export without NMS, the NanoDet here |
+| `num_dets`, `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], or all without their 1 | YOLO-World's own export with NMS |
 | one, [1,4+c,n], centres and sizes | Ultralytics: YOLOv8 and later, YOLOv8-World, YOLOE |
-| one, [1,n,6], corners, score, class | the same with `nms=True` |
+| one, [1,n,6], corners, score, class | the same with `nms=True`, YOLOv10 |
 | one, [1,n,5+c], centres, sizes, objectness | YOLOv5, YOLOv7 |
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -26,24 +26,27 @@ EXPECTED = (
 )
 GREY = 114
 Floats = NDArray[np.float32]
+Outputs = Mapping[str, NDArray[Any]]
 Found = tuple[Floats, Floats, NDArray[np.int64], bool]
 """(n, 4) corners in the model's picture, (n,) scores, (n,) classes, and whether overlapping ones were taken out."""
 
 
-def padding(outputs: Sequence[str]) -> int:
+def padding(outputs: Iterable[str]) -> int:
     """Level of grey around the picture, as the exporter trained with: those that name boxes pad with black."""
     return 0 if "boxes" in outputs else GREY
 
 
-def decoded(model: Model, outputs: Mapping[str, NDArray[Any]], size: tuple[int, int], words: int) -> Found:
+def decoded(model: Model, outputs: Outputs, size: tuple[int, int], words: int) -> Found:
     """What the model found. size: (height, width) of its picture. Raises InputError, naming what does not fit."""
-    if {"boxes", "scores"} <= outputs.keys():
+    if {"boxes", "scores", "labels"} <= outputs.keys():
+        found = _finished(model, outputs)
+    elif {"boxes", "scores"} <= outputs.keys():
         found = _named(model, outputs, words)
     elif len(outputs) == 1 and next(iter(outputs.values())).ndim == 3:
-        found = _single(model, next(iter(outputs.values())), size, words)
+        found = _single(model, np.asarray(next(iter(outputs.values()))[0], np.float32), size, words)
     else:
         raise model.refused(EXPECTED)
-    corners, scores = found[0], found[1]
+    corners, scores, kinds, alone = found
     if not (np.isfinite(corners).all() and np.isfinite(scores).all()):
         raise InputError(f"{model.file}: boxes or scores are not finite numbers; export it again")
     if len(scores) and not (scores.min() >= -1e-3 and scores.max() <= 1 + 1e-3):
@@ -51,32 +54,37 @@ def decoded(model: Model, outputs: Mapping[str, NDArray[Any]], size: tuple[int, 
             f"{model.file}: scores from {scores.min():.3g} to {scores.max():.3g}; expected 0 to 1: export with the "
             "sigmoid inside"
         )
-    return corners, scores.clip(0, 1), found[2], found[3]
+    unknown = kinds[(kinds < 0) | (kinds > words)]  # the one after the last word is padding of the export
+    if len(unknown):
+        raise InputError(
+            f"{model.file}: class {unknown[0]} of {words} words; give the words it was exported with"
+        )
+    return corners, scores.clip(0, 1), kinds, alone
 
 
-def _named(model: Model, outputs: Mapping[str, NDArray[Any]], words: int) -> Found:
-    boxes, scores = (np.asarray(outputs[name][0], np.float32) for name in ("boxes", "scores"))
-    if boxes.ndim != 2 or boxes.shape[1:] != (4,) or len(scores) != len(boxes):
+def _finished(model: Model, outputs: Outputs) -> Found:
+    boxes, scores, labels = (outputs[name] for name in ("boxes", "scores", "labels"))
+    if boxes.shape[-1:] != (4,) or not boxes.shape[:-1] == scores.shape == labels.shape:
         raise model.refused(EXPECTED)
-    if "labels" in outputs:
-        count = int(outputs["num_dets"].reshape(-1)[0]) if "num_dets" in outputs else len(boxes)
-        labels = np.asarray(outputs["labels"][0], np.int64)[:count]
-        if scores.ndim != 1 or labels.shape != scores[:count].shape:
-            raise model.refused(EXPECTED)
-        return boxes[:count], scores[:count], _known(model, labels, words), True
-    if scores.ndim != 2:
+    count = int(outputs["num_dets"].reshape(-1)[0]) if "num_dets" in outputs else scores.size
+    corners, scores = boxes.reshape(-1, 4).astype(np.float32), scores.reshape(-1).astype(np.float32)
+    return corners[:count], scores[:count], labels.reshape(-1).astype(np.int64)[:count], True
+
+
+def _named(model: Model, outputs: Outputs, words: int) -> Found:
+    boxes, scores = (np.asarray(outputs[name][0], np.float32) for name in ("boxes", "scores"))
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.ndim != 2 or len(scores) != len(boxes):
         raise model.refused(EXPECTED)
     if (boxes[:, 2:] < boxes[:, :2]).any(1).mean() > 0.1:
         raise InputError(f"{model.file}: boxes are distances, not corners; export with the box decoder inside")
     return boxes, *_best(model, scores, words), False
 
 
-def _single(model: Model, output: NDArray[Any], size: tuple[int, int], words: int) -> Found:
-    rows = np.asarray(output[0], np.float32)
+def _single(model: Model, rows: Floats, size: tuple[int, int], words: int) -> Found:
     cells = sum((size[0] // step) * (size[1] // step) for step in (8, 16, 32))
     objectness = rows.shape[1] == 5 + words
     if rows.shape[1] == 6 and not (objectness and len(rows) == 3 * cells):
-        return rows[:, :4], rows[:, 4], _known(model, rows[:, 5].astype(np.int64), words), True
+        return rows[:, :4], rows[:, 4], rows[:, 5].astype(np.int64), True
     if len(rows) == 4 + words:
         return _corners(rows[:4].T), *_best(model, rows[4:].T, words), False
     if objectness and len(rows) != cells:
@@ -98,17 +106,5 @@ def _best(model: Model, scores: Floats, words: int) -> tuple[Floats, NDArray[np.
     classes = scores.shape[1]
     if classes not in (words, words + 1):
         raise model.refused(f"{words} classes, as there are words, not {classes}; give the words it was exported with")
-    if not len(scores):
-        return np.zeros(0, np.float32), np.zeros(0, np.int64)
     kinds = scores[:, :words].argmax(1)
     return scores[np.arange(len(scores)), kinds], kinds
-
-
-def _known(model: Model, labels: NDArray[np.int64], words: int) -> NDArray[np.int64]:
-    """Class numbers for which there are words, or the one of the padding."""
-    if len(labels) and not (labels.min() >= 0 and labels.max() <= words):
-        raise InputError(
-            f"{model.file}: class {labels.max() if labels.min() >= 0 else labels.min()} of {words} words; give the "
-            "words it was exported with"
-        )
-    return labels

@@ -46,20 +46,19 @@ class Sentences:
         tokenizer = folder / "tokenizer.json"
         check_size(tokenizer)
         self._model = Model.of_user(_model_file(folder, file), tokenizer)
-        self.device, self.model_digest = self._model.device, self._model.digest
-        if (
-            not {"input_ids", "attention_mask"}
-            <= self._model.inputs.keys()
-            <= {
-                "input_ids",
-                "attention_mask",
-                "token_type_ids",
-            }
-        ):
-            raise self._model.refused(EXPECTED)
+        self.model_digest = self._model.digest
         self._tokenizer = _tokenizer(tokenizer)
         self._vector = lru_cache(REMEMBERED)(self._encode)
-        self.dimensions = len(self._vector("a cup"))
+
+    @property
+    def device(self) -> str:
+        """What the model runs on."""
+        return self._model.device
+
+    @property
+    def dimensions(self) -> int:
+        """Length of a vector. Raises InputError, as the model is tried for it."""
+        return len(self._vector("a cup"))
 
     def encode(self, texts: Sequence[str]) -> NDArray[np.float32]:
         """(n, dimensions) float32, one row of unit length for each text."""
@@ -68,6 +67,9 @@ class Sentences:
         return np.stack([self._vector(text) for text in texts])
 
     def _encode(self, text: str) -> NDArray[np.float32]:
+        names = self._model.inputs.keys()
+        if not {"input_ids", "attention_mask"} <= names <= {"input_ids", "attention_mask", "token_type_ids"}:
+            raise self._model.refused(EXPECTED)
         ids = np.array([self._tokenizer.encode(self._prefix + text).ids], np.int64)
         outputs = self._model.run_all(
             {"input_ids": ids, "attention_mask": np.ones_like(ids), "token_type_ids": np.zeros_like(ids)}

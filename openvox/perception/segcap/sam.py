@@ -52,13 +52,21 @@ class Sam:
     def __init__(self, options: SamOptions, setting: Setting) -> None:
         self._encoder = Model.of_user(setting.file("segcap.encoder", options.encoder))
         self._decoder = Model.of_user(setting.file("segcap.decoder", options.decoder))
-        self.device, self.model_digest = self._encoder.device, f"{self._encoder.digest}{self._decoder.digest}"
-        self._masks(np.zeros((48, 64, 3), np.uint8), [(8.0, 8.0, 24.0, 24.0)])  # says at once what does not fit
+        self.model_digest = f"{self._encoder.digest}{self._decoder.digest}"
         self.parameters: Mapping[str, Value] = {
             "segcap.encoder": self._encoder.file.name,
             "segcap.decoder": self._decoder.file.name,
         }
         self._digest = stage_digest(self.name, VERSION, {}, self.model_digest, self.device)
+
+    @property
+    def device(self) -> str:
+        """What the encoder runs on."""
+        return self._encoder.device
+
+    def prepare(self) -> None:
+        """Loads the models and says what does not fit."""
+        self._masks(np.zeros((48, 64, 3), np.uint8), [(8.0, 8.0, 24.0, 24.0)])
 
     def digest(self, frame: Frame) -> str:
         """The same for every frame."""

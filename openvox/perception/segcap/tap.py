@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
@@ -51,10 +52,20 @@ class Tap:
         weights = setting.file("segcap.weights", options.weights)
         check_size(weights)
         self.model_digest = digest_of_files(weights)
-        self._model, self.device = _loaded(options.model, weights)
+        self.device = _device()
+        self._loads = partial(_loaded, options.model, weights)
         self._lock = Lock()
         self.parameters: Mapping[str, Value] = {"segcap.model": options.model, "segcap.weights": weights.name}
         self._digest = stage_digest(self.name, VERSION, {"model": options.model}, self.model_digest, self.device)
+
+    @cached_property
+    def _model(self) -> Any:
+        return self._loads()
+
+    def prepare(self) -> None:
+        """Loads the weights and says what does not fit."""
+        with self._lock:
+            _ = self._model
 
     def digest(self, frame: Frame) -> str:
         """The same for every frame."""
@@ -108,8 +119,16 @@ def _back(logits: NDArray[np.float32], inner: tuple[int, int], size: tuple[int, 
     return np.asarray(cv2.resize(cut, (size[1], size[0]), interpolation=cv2.INTER_LINEAR) > 0, np.bool_)
 
 
-def _loaded(name: str, weights: Path) -> tuple[Any, str]:
-    """The authors' model with its weights, and what it runs on. Raises InputError."""
+def _device() -> str:
+    try:
+        import torch
+    except ImportError:
+        return "CPU"
+    return "CUDA" if torch.cuda.is_available() else "CPU"
+
+
+def _loaded(name: str, weights: Path) -> Any:
+    """The authors' model with its weights. Raises InputError."""
     try:
         import flash_attn  # noqa: F401  # without it the authors' package loads, and fails at the first picture
         import torch
@@ -139,4 +158,4 @@ def _loaded(name: str, weights: Path) -> tuple[Any, str]:
     except (RuntimeError, TypeError, AttributeError) as error:
         raise InputError(f"{weights}: not the weights of {name} ({first_line(error)})") from None
     model.text_decoder.reset_cache(max_batch_size=BATCH)
-    return model, "CUDA" if torch.cuda.is_available() else "CPU"
+    return model
