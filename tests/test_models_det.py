@@ -314,7 +314,9 @@ def test_a_file_without_words_is_a_sentence(tmp_path, words, sentence):
 # Cache
 
 
-@pytest.mark.parametrize("change", [{"score": 0.5}, {"top_k": 7}, {"overlap": 0.5}, {"side": 96}, {"words": "cup\nsofa\n"}])
+@pytest.mark.parametrize(
+    "change", [{"score": 0.5}, {"top_k": 7}, {"overlap": 0.5}, {"side": 96}, {"words": "cup\nsofa\n"}]
+)
 def test_whatever_changes_boxes_changes_the_digest(tmp_path, change: dict[str, Value]):
     graphs.looking_detector(tmp_path / "d.onnx", words=2)
     (frame,) = tiny_frames(1)

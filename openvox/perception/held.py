@@ -11,7 +11,6 @@ from openvox.formats.perception import FrameMasks, begin_metadata, perception_in
 from openvox.formats.recording import RecordingInfo, read_frames, selected
 from openvox.perception.pipeline import Pipeline
 
-
 NOT_COMPARED = ("openvox_version", "dimensions")
 """The length of vectors follows from the encoder's digest; to ask for it would load the encoder."""
 

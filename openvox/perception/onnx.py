@@ -34,7 +34,7 @@ _OUTSIDE = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])([^\x00-\x1f\x7f-\xff]
 
 
 class Model:
-    """An ONNX file, loaded when it is first asked for more than its digest: SHA-256 over it and those that belong to it.
+    """An ONNX file, loaded when it is first asked for more than its digest, SHA-256 over it and what belongs to it.
 
     Safe to use from several threads. Raises InputError if a file cannot be read."""
 

@@ -3,7 +3,7 @@
 | outputs | who writes them |
 |---|---|
 | `scores` [1,n,c], `boxes` [1,n,4] | YOLO-World's own export without NMS, the NanoDet here |
-| `num_dets`, `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], or all without their 1 | YOLO-World's own export with NMS |
+| `num_dets`, `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], or without the 1 | YOLO-World's own with NMS |
 | one, [1,4+c,n], centres and sizes | Ultralytics: YOLOv8 and later, YOLOv8-World, YOLOE |
 | one, [1,n,6], corners, score, class | the same with `nms=True`, YOLOv10 |
 | one, [1,n,5+c], centres, sizes, objectness | YOLOv5, YOLOv7 |
@@ -56,9 +56,7 @@ def decoded(model: Model, outputs: Outputs, size: tuple[int, int], words: int) -
         )
     unknown = kinds[(kinds < 0) | (kinds > words)]  # the one after the last word is padding of the export
     if len(unknown):
-        raise InputError(
-            f"{model.file}: class {unknown[0]} of {words} words; give the words it was exported with"
-        )
+        raise InputError(f"{model.file}: class {unknown[0]} of {words} words; give the words it was exported with")
     return corners, scores.clip(0, 1), kinds, alone
 
 
