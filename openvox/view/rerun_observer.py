@@ -126,9 +126,9 @@ class RerunObserver:
                 self._instances.finish_without()
                 self._lanes.finish({})
             eye = overview(result) if result is not None and self._frame is not None else None
-            self._recording.send_blueprint(
-                blueprint(eye, pictures=self._with_pictures, pictured=pictured), make_active=False
-            )
+            layout = blueprint(eye, pictures=self._with_pictures, pictured=pictured)
+            # in a file it takes the place of the opening one; who watches keeps what he has arranged
+            self._recording.send_blueprint(layout, make_active=self._partial is not None)
             self._recording.flush()
             self._recording.disconnect()
             if self._partial is not None:
