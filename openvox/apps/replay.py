@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -35,11 +34,8 @@ from openvox.formats.recording import RecordingInfo, recording_info
 from openvox.formats.times import times_path, write_times
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceWriter
-from openvox.mapper.engines.compiled import all_kept
+from openvox.mapper.engines.compiled import all_kept, watched
 from openvox.mapper.mapper import Mapper
-
-COMPILES_AFTER = 1.5
-"""Seconds after which a word is said: the kernels are being compiled, not loaded."""
 
 
 def replay(
@@ -184,18 +180,15 @@ def warm_up(parameters: MapperParameters, engine: str, notice: Callable[[str], N
         masks=replace(parameters.masks, min_pixels=0, erosion=min(1, parameters.masks.erosion), step_margin=1),
         evolution=replace(parameters.evolution, halving=1),
     )
-    timer = threading.Timer(COMPILES_AFTER, notice, ["compiling the mapper's kernels, once after an installation ..."])
-    timer.start()
-    try:
+    once = "once after an installation"
+    if not all_kept():
+        once = "as in every run: there is no folder to keep the compiled kernels in; set NUMBA_CACHE_DIR to one"
+    with watched(lambda: notice(f"compiling the mapper's kernels, {once} ...")):
         mapper = Mapper(few, engine=engine)
         for number, masks in enumerate((welded, parted, parted)):
             frame = Frame(number, number, Pose.identity(), Rig(camera, camera), np.full((16, 16), 1000, np.uint16))
             mapper.step(frame, masks)
         mapper.finish()
-    finally:
-        timer.cancel()
-    if not all_kept():
-        notice("there is no folder to keep the compiled kernels in, so every run compiles; set NUMBA_CACHE_DIR to one")
 
 
 class Counting:
