@@ -25,11 +25,15 @@ class MemoryLimit:
 
     def on_step(self, step: Step) -> None:
         """Raises InputError where the limit is reached."""
-        needed = (memory_in_use() + (FINISHING + GROWING) * step.voxels) // MEGABYTE
+        used, more = memory_in_use(), (FINISHING + GROWING) * step.voxels
+        needed = (used + more) // MEGABYTE
         if needed > self._limit:
+            cure = f"choose a larger map.voxel_size, or --end {step.frame.index}"
+            if more < used // 10:
+                cure = "that is the program more than the map: allow more"
             raise InputError(
-                f"frame {step.frame.index}: the map of {step.voxels} voxels needs {needed} MB to be finished, "
-                f"--max-memory is {self._limit}; choose a larger map.voxel_size, or --end {step.frame.index}"
+                f"frame {step.frame.index}: {needed} MB are needed to finish the map of {step.voxels} "
+                f"voxels, --max-memory is {self._limit}; {cure}"
             )
 
     def close(self, result: InstanceMap) -> None:

@@ -28,7 +28,7 @@ def all_kept() -> bool:
     return not _not_kept
 
 
-class _Compiling(event.Listener):  # type: ignore[misc]
+class _Compiling(event.Listener):
     def __init__(self, tell: Callable[[], None]) -> None:
         self._tell = tell
         self._told = False
