@@ -47,7 +47,7 @@ def test_where_the_map_is_what_takes_the_memory_a_coarser_one_is_the_cure(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(memory, "FINISHING", 100_000_000)
-    with pytest.raises(InputError, match="choose a larger map.voxel_size, or --end 0"):
+    with pytest.raises(InputError, match=r"choose a larger map\.voxel_size, or --end 0"):
         replay(recording, max_memory=500)
 
 
