@@ -13,6 +13,7 @@ from openvox.mapper.associate import Association
 from openvox.mapper.codebook import Fragment
 from openvox.mapper.cut import Nesting, count_pairs
 from openvox.mapper.evidence import Evidence, cluster, pair
+from openvox.mapper.state import evidence_arrays, restore_evidence
 
 NODES = range(1, 7)
 PAIRS = st.tuples(st.sampled_from(NODES), st.sampled_from(NODES)).filter(lambda fg: fg[0] != fg[1])
@@ -143,3 +144,22 @@ def test_where_depth_made_the_masks_small_things_lie_in_them_for_less(
     held = [{1, 2}, {3}][: len(kinds)]
     assert counted(kinds, held, 1000).together == {(1, 2): clear}
     assert counted(kinds, held, 999).together == {(1, 2): small}
+
+
+# Resumed
+
+
+def test_counts_are_restored_as_they_were_even_above_the_limit() -> None:
+    parameters = LifecycleParameters(halving=10)
+    fragments = {f: fragment(f, 127) for f in (1, 2, 3)}
+    before, after = Evidence(parameters), Evidence(parameters)
+    for f in fragments:
+        before.add_fragment(f)
+    before.add_together(1, 2, 44)  # halved once, when it is counted: 22 is above the limit still
+    before.add_apart(2, 3, 4)
+    before.update(fragments, fragments)
+    restore_evidence(after, evidence_arrays(before), fragments)
+    assert after.together == before.together == {(1, 2): 22}
+    assert after.apart == before.apart == {(2, 3): 4}
+    assert after.instance_of == before.instance_of == {1: 1, 2: 1, 3: 3}
+    assert after.neighbours(2) == before.neighbours(2) == [1]

@@ -77,7 +77,7 @@ def cuts(
     order = [m for _, m in sorted((-mask.area, m) for m, mask in enumerate(masks) if mask and associations[m].main)]
     out = []
     for column, fragment in enumerate(columns.tolist()):
-        common = [fixedpoint.MILLION * voxels for voxels in overlap[:-1, column].tolist()]
+        common = [fixedpoint.MILLION * shared for shared in overlap[:-1, column].tolist()]
         least = MIN_CUT * fixedpoint.MILLION
         enough = max(least, share * sum(common) // fixedpoint.MILLION)
         under = [

@@ -51,11 +51,16 @@ class Evidence:
         self.members[f] = (f,)
         self._neighbours[f] = set()
 
+    def restore(self, together: Mapping[Pair, int], apart: Mapping[Pair, int]) -> None:
+        """Take over the counts of an earlier run as they are: one that a cut made large is halved only when it grows."""
+        self.together, self.apart = dict(together), dict(apart)
+        for f, g in together:
+            self._join(f, g)
+
     def add_together(self, f: int, g: int, amount: int) -> None:
         """f and g lay in one mask."""
         self._count(self.together, pair(f, g), amount)
-        self._neighbours[f].add(g)
-        self._neighbours[g].add(f)
+        self._join(f, g)
 
     def neighbours(self, f: int) -> list[int]:
         """Fragments that once lay in one mask with f, ascending."""
@@ -64,6 +69,10 @@ class Evidence:
     def add_apart(self, f: int, g: int, amount: int) -> None:
         """f and g lay in different masks of one frame."""
         self._count(self.apart, pair(f, g), amount)
+
+    def _join(self, f: int, g: int) -> None:
+        self._neighbours[f].add(g)
+        self._neighbours[g].add(f)
 
     def _count(self, counts: dict[Pair, int], key: Pair, amount: int) -> None:
         counts[key] = counts.get(key, 0) + amount

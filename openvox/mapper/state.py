@@ -67,10 +67,8 @@ def restore_evidence(evidence: Evidence, state: Arrays, fragments: Mapping[int, 
     """Fill an empty Evidence with the pair counts and cluster all fragments."""
     for f in fragments:
         evidence.add_fragment(f)
-    for f, g, amount in state["together"].tolist():
-        evidence.add_together(f, g, amount)
-    for f, g, amount in state["apart"].tolist():
-        evidence.add_apart(f, g, amount)
+    together, apart = ({(f, g): n for f, g, n in state[name].tolist()} for name in ("together", "apart"))
+    evidence.restore(together, apart)
     evidence.update(fragments, fragments)
     evidence.regrouped()  # nothing of it is news
 
