@@ -170,6 +170,16 @@ def test_another_encoder_is_one_sentence(tmp_path: Path) -> None:
         replayed(recording, tmp_path / "rest", resume=tmp_path / "other.map.npz")
 
 
+def test_a_map_of_a_version_without_a_parameter_is_one_sentence(tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "a.mcap", frames=3)
+    replayed(recording, tmp_path / "half", end=2)
+    half = read_map(tmp_path / "half.map.npz")
+    fewer = {name: value for name, value in half.meta["parameters"].items() if name != "evolution.near"}
+    write_map(tmp_path / "old.map.npz", replace(half, meta={**half.meta, "parameters": fewer}))
+    with pytest.raises(InputError, match=r"old\.map\.npz is of another version of openvox, without evolution\.near; replay"):
+        replayed(recording, tmp_path / "rest", resume=tmp_path / "old.map.npz")
+
+
 def test_a_map_that_was_changed_or_lost_its_state_is_one_sentence(tmp_path: Path) -> None:
     recording = recorded(tmp_path / "a.mcap", frames=3)
     replayed(recording, tmp_path / "half", end=2)

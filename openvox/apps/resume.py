@@ -93,9 +93,11 @@ def _check_same_run(
     before, now = meta.get("parameters"), as_dict(parameters)
     before = before if isinstance(before, dict) else {}
     for name in sorted(now):
-        if before.get(name) != now[name]:
+        if name not in before:
+            raise InputError(f"{path} is of another version of openvox, without {name}; replay from the beginning")
+        if before[name] != now[name]:
             raise InputError(
-                f"{path} was mapped with {name} = {before.get(name)}, this run has {now[name]}; "
+                f"{path} was mapped with {name} = {before[name]}, this run has {now[name]}; "
                 "resume with the same parameters, or replay from the beginning"
             )
     if meta.get("encoder") != found.encoder:

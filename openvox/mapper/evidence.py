@@ -52,7 +52,7 @@ class Evidence:
         self._neighbours[f] = set()
 
     def restore(self, together: Mapping[Pair, int], apart: Mapping[Pair, int]) -> None:
-        """Take over the counts of an earlier run as they are: one that a cut made large is halved only when it grows."""
+        """Take over the counts of an earlier run as they are: large ones are halved only when they grow."""
         self.together, self.apart = dict(together), dict(apart)
         for f, g in together:
             self._join(f, g)
