@@ -176,7 +176,9 @@ def test_a_map_of_a_version_without_a_parameter_is_one_sentence(tmp_path: Path) 
     half = read_map(tmp_path / "half.map.npz")
     fewer = {name: value for name, value in half.meta["parameters"].items() if name != "evolution.near"}
     write_map(tmp_path / "old.map.npz", replace(half, meta={**half.meta, "parameters": fewer}))
-    with pytest.raises(InputError, match=r"old\.map\.npz is of another version of openvox, without evolution\.near; replay"):
+    with pytest.raises(
+        InputError, match=r"old\.map\.npz is of another version of openvox, without evolution\.near; replay"
+    ):
         replayed(recording, tmp_path / "rest", resume=tmp_path / "old.map.npz")
 
 
