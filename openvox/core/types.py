@@ -375,7 +375,7 @@ class InstanceMap:
     vote_fragment: NDArray[np.int32]
     """(M,): ascending within a voxel, 0 = background."""
     vote_count: NDArray[np.int32]
-    """(M,): in units of vote_unit votes."""
+    """(M,): in units of vote_unit votes; a look from near is several (`evolution.near`)."""
     fragment_id: NDArray[np.int32]
     fragment_instance: NDArray[np.int32]
     """(F,): instance of each fragment, 0 = dropped."""
