@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
+from io import SEEK_END
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+import zstandard
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -14,11 +16,12 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 
 from openvox.core.errors import InputError
 from openvox.core.types import Pose
-from openvox.formats.mcap_io import BROKEN, MAX_RECORD
+from openvox.formats.mcap_io import BROKEN, CHUNK, MAX_RECORD, RECORD
 from openvox.formats.robot_log import Calibration, Item, Picture, TopicKind, Transform
 
 KINDS: Mapping[str, TopicKind] = {
@@ -62,6 +65,7 @@ def _reader(path: Path) -> Iterator[Any]:
     """The library's reader, with every CRC checked; what broken bytes raise is one sentence."""
     try:
         with path.open("rb") as file:
+            _check_chunks(path, file)
             yield SeekingReader(file, validate_crcs=True, record_size_limit=MAX_RECORD)
     except (InputError, GeneratorExit, KeyboardInterrupt):
         raise
@@ -70,6 +74,30 @@ def _reader(path: Path) -> Iterator[Any]:
     except (*BROKEN, DecodeError, ValueError, KeyError, RuntimeError, EOFError) as error:
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path} could not be read as MCAP ({text:.300}); is it whole?") from error
+
+
+def _check_chunks(path: Path, file: BinaryIO) -> None:
+    """Raises InputError for a chunk that would unpack to more than MAX_RECORD: the library allocates what is stated."""
+    end = file.seek(0, SEEK_END)
+    offset = file.seek(8)
+    while offset + RECORD.size <= end:
+        file.seek(offset)
+        opcode, length = RECORD.unpack(file.read(RECORD.size))
+        if opcode == Opcode.CHUNK:
+            _check_chunk(path, offset, file.read(min(length, 256)))
+        offset += RECORD.size + length
+    file.seek(0)
+
+
+def _check_chunk(path: Path, offset: int, head: bytes) -> None:
+    _, _, size, _, named = CHUNK.unpack_from(head)
+    sizes = [size]
+    if head[CHUNK.size : CHUNK.size + named] == b"zstd":
+        sizes.append(zstandard.frame_content_size(head[CHUNK.size + named + 8 :]))
+    if max(sizes) > MAX_RECORD:
+        raise InputError(
+            f"{path}: the chunk at byte {offset} states {max(sizes)} bytes unpacked; at most {MAX_RECORD} are read"
+        )
 
 
 def item(topic: str, schema: str, data: bytes) -> Item:
