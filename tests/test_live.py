@@ -349,6 +349,13 @@ def test_a_growing_recording_is_followed_to_its_end(played: Path, tmp_path: Path
     assert_replay_makes_the_same(result, tmp_path / "again")
 
 
+def test_a_recording_renamed_after_it_was_found_is_read_under_its_final_name(played: Path, tmp_path: Path) -> None:
+    shutil.copy(played, tmp_path / "robot.mcap")
+    assert len(list(read_frames(tmp_path / "robot.mcap.partial"))) == len(list(read_frames(played)))
+    with pytest.raises(InputError, match="there is no file"):
+        list(read_frames(tmp_path / "other.mcap.partial"))
+
+
 def test_a_recording_whose_writer_died_ends_when_nothing_comes_for_long(
     played: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -96,11 +96,21 @@ def _checked(path: Path, name: str, record: dict[str, str], newest: int) -> dict
     return record
 
 
+def _opened(path: Path) -> BinaryIO:
+    """The file, under its final name where it got that since it was found."""
+    try:
+        return path.open("rb")
+    except FileNotFoundError:
+        if final_name(path) == path:
+            raise
+        return final_name(path).open("rb")
+
+
 def _contents(path: Path, wait: Wait = lambda: False) -> Generator[tuple[int, object], None, None]:
     """Channels as (number, topic), metadata and messages as (channel, sequence, log time, data), in file order."""
     schemas: dict[int, Schema] = {}
     try:
-        with path.open("rb") as file:
+        with _opened(path) as file:
             for offset, opcode, content in _records(path, file, wait):
                 if opcode == Opcode.METADATA:
                     yield opcode, Metadata.read(stream(content))

@@ -21,6 +21,7 @@ from openvox.formats.ahead import read_ahead
 from openvox.formats.frames import NEEDED, check_color, decode_frame, encode_frame
 from openvox.formats.growing import (
     Wait,
+    final_name,
     growing_messages,
     growing_metadata,
     is_unfinished,
@@ -229,7 +230,7 @@ def selected(index: int, start: int | None, end: int | None, stride: int) -> boo
 
 def _metadata(path: Path) -> dict[str, str]:
     """The recording's metadata; its topics are checked, too."""
-    if not path.exists():
+    if not path.exists() and not (is_unfinished(path) and final_name(path).exists()):
         raise InputError(f"there is no file {path}")
     if is_unfinished(path):
         return growing_metadata(path, BEGIN_METADATA, newest=FORMAT_VERSION)
