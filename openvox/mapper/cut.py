@@ -112,7 +112,8 @@ def count_pairs(
 
     columns (f,) fragment ids; overlap (masks + 1, f)."""
     kinds = ["" if mask is None or not parameters.kinds else mask.kind for mask in masks]
-    visible = _visible_pixels(masks, associations, columns, overlap)
+    mixed = "region" in kinds  # else how clearly a thing is seen says nothing
+    visible = _visible_pixels(masks, associations, columns, overlap) if mixed else {}
     holders: dict[int, list[int]] = {}
     for one in associations:
         for f in sorted(one.held):
@@ -121,9 +122,12 @@ def count_pairs(
     for i, f in enumerate(fragments):
         for g in fragments[i + 1 :]:
             both = [m for m in holders[f] if m in holders[g]]
+            if both and not mixed:
+                evidence.add_together(f, g, 2)
+                continue
             if both:
                 clear = {m: min(visible[m].get(f, 0), visible[m].get(g, 0)) >= parameters.clear_pixels for m in both}
-                evidence.add_together(f, g, max(_togetherness(kinds, m, clear[m]) for m in both))
+                evidence.add_together(f, g, max(_togetherness(kinds[m], clear[m]) for m in both))
                 continue
             apart = max(_contradiction(a, b, kinds, nesting) for a in holders[f] for b in holders[g])
             if apart:
@@ -147,13 +151,11 @@ def _visible_pixels(
     }
 
 
-def _togetherness(kinds: Sequence[str], mask: int, clear: bool) -> int:
-    """How much a mask says that what it holds is one thing: 2, in a frame with regions thrice for a detector's mask.
+def _togetherness(kind: str, clear: bool) -> int:
+    """How much a mask says, in a frame with regions, that what it holds is one thing: 2, thrice for a detector's mask.
 
-    Regions from depth lose small things from afar: there, what is not seen clearly counts half."""
-    if "region" not in kinds:
-        return 2
-    amount = 6 if kinds[mask] == "object" else 2
+    Regions from depth lose small things from afar: what is not seen clearly counts half."""
+    amount = 6 if kind == "object" else 2
     return amount if clear else amount // 2
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -75,12 +76,13 @@ def points_alone(scene: Path, folder: Path) -> Path:
     return bare
 
 
-def scored(scene: Path, perception: Path, rule: str, preset: str, folder: Path) -> dict[str, Any]:
-    stem = str(folder / "run")
-    assignments = [text for text in rule.split(",") if text]
-    replay(folder / f"{scene.name}.mcap", perception=perception, preset_name=preset, assignments=assignments, out=stem)
-    found: dict[str, Any] = evaluate(Path(f"{stem}.map.npz"), truth=points_alone(scene, folder))["instances"]
-    return found
+def mapped(
+    scene: Path, perception: Path, truth: Path, folder: Path, preset: str = "openvox", rules: Sequence[str] = ()
+) -> dict[str, Any]:
+    """What `evaluate` says of the map."""
+    stem = folder / "run"
+    replay(folder / f"{scene.name}.mcap", perception=perception, preset_name=preset, assignments=rules, out=str(stem))
+    return evaluate(Path(f"{stem}.map.npz"), truth=truth)
 
 
 def main() -> None:
@@ -102,7 +104,11 @@ def main() -> None:
         for level in levels:
             files = [(scene, perceived(scene, level, seed, folder)) for scene in chosen.scenes for seed in seeds]
             for rule in chosen.rules or RULES:
-                runs = [scored(scene, file, rule, chosen.preset, folder) for scene, file in files]
+                rules = [text for text in rule.split(",") if text]
+                runs = [
+                    mapped(scene, file, points_alone(scene, folder), folder, chosen.preset, rules)["instances"]
+                    for scene, file in files
+                ]
                 means = (sum(run[measure] for run in runs) / len(runs) for measure in MEASURES)
                 cells = " | ".join(f"{mean:.3f}" for mean in means)
                 print(f"| {level} | `{rule or 'all rules'}` | {cells} |", flush=True)

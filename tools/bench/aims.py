@@ -11,12 +11,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ablation import perceived, points_alone
+from ablation import mapped, perceived, points_alone
 
-from openvox.apps.evaluate import evaluate
 from openvox.apps.ingest import ingest
 from openvox.apps.perceive import perceive
-from openvox.apps.replay import replay
 
 LEVELS = ("clean", "noisy", "hard")
 KINDS = ("ontology", "relevance", "functionality")
@@ -40,14 +38,6 @@ def mean(runs: Sequence[dict[str, Any]], *names: str) -> float:
     return total / len(runs)
 
 
-def run(
-    scene: Path, perception: Path, truth: Path, folder: Path, preset: str = "openvox", rules: Sequence[str] = ()
-) -> dict[str, Any]:
-    stem = folder / "run"
-    replay(folder / f"{scene.name}.mcap", perception=perception, preset_name=preset, assignments=rules, out=str(stem))
-    return evaluate(Path(f"{stem}.map.npz"), truth=truth)
-
-
 def every_fifth(scene: Path, perception: Path, folder: Path) -> Path:
     """The perception of every fifth frame, from the same detections."""
     out = folder / "fifth.perception.mcap"
@@ -61,9 +51,9 @@ def aims(files: dict[str, list[tuple[Path, Path]]], folder: Path) -> None:
     """A row a figure, a column a kind of masks."""
     rows: dict[str, list[str]] = {}
     for level in LEVELS:
-        runs = [run(scene, file, scene, folder) for scene, file in files[level]]
+        runs = [mapped(scene, file, scene, folder) for scene, file in files[level]]
         fifth = [
-            run(scene, every_fifth(scene, file, folder), points_alone(scene, folder), folder)
+            mapped(scene, every_fifth(scene, file, folder), points_alone(scene, folder), folder)
             for scene, file in files[level]
         ]
         for label, name in (
@@ -107,7 +97,7 @@ def comparison(files: dict[str, list[tuple[Path, Path]]], folder: Path) -> None:
     print("\n| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     for level in LEVELS:
         for label, preset, rules in VARIANTS:
-            runs = [run(s, file, points_alone(s, folder), folder, preset, rules) for s, file in files[level]]
+            runs = [mapped(s, file, points_alone(s, folder), folder, preset, rules) for s, file in files[level]]
             near = " | ".join(
                 f"{mean(runs, 'instances', n):.3f}" for n in ("ap", "ap50", "f50", "spill", "missed_share")
             )
