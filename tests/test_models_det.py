@@ -91,11 +91,14 @@ def test_each_axis_is_undone_by_the_scale_that_it_really_had():
 
 
 @pytest.mark.parametrize(("family", "grey"), [("boxes", 0), ("output0", 114 / 255)])
-def test_bars_have_the_grey_that_the_exporter_trained_with(family, grey):
+def test_bars_have_the_grey_that_the_exporter_trained_with(tmp_path, family, grey):
     from openvox.perception.det.boxes import letterboxed
-    from openvox.perception.det.yolo_outputs import padding
+    from openvox.perception.det.yolo_model import padding
+    from openvox.perception.onnx import Model
 
-    square, place = letterboxed(np.full((10, 20, 3), 255, np.uint8), 40, 40, padding([family]))
+    make = graphs.named_detector if family == "boxes" else graphs.single_detector
+    model = Model.of_user(make(tmp_path / "d.onnx", [[0.9, 0.1]]))
+    square, place = letterboxed(np.full((10, 20, 3), 255, np.uint8), 40, 40, padding(model))
     assert place.top == 10
     np.testing.assert_allclose(square[0, :, :10], grey, atol=1e-6)
     assert (square[0, :, 10:30] == 1).all()
@@ -217,6 +220,16 @@ def test_without_words_a_text_file_is_asked_for_and_nothing_is_run(tmp_path, nam
 
 
 # Wrong files
+
+
+@pytest.mark.parametrize(("name", "shape"), [("class_scores", [1, 1000]), ("image_embeddings", [1, 256, 64, 64])])
+def test_a_file_of_another_kind_is_told_so_before_it_is_asked_for_words(tmp_path, name, shape):
+    nodes = [graphs.constant(name, np.zeros(shape))]
+    graphs._model(tmp_path / "d.onnx", [graphs._value(*graphs.PICTURE)], [graphs._value(name, shape)], nodes)
+    sides = ",".join(map(str, shape))
+    with pytest.raises(InputError) as raised:
+        yolo(tmp_path, words=None)
+    assert f"inputs images float[1,3,64,64], outputs {name} float[{sides}]; expected the input" in str(raised.value)
 
 
 def test_another_number_of_words_than_classes_is_a_sentence(tmp_path):

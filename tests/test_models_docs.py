@@ -48,6 +48,13 @@ def test_the_page_is_short_enough_to_be_an_example():
     assert len(blocks("stages.md", "python")[0].splitlines()) <= 100
 
 
+def test_the_stages_that_are_there_are_no_longer_than_the_page_promises():
+    folder = DOCS.parent / "openvox" / "perception"
+    files = [path for role in STAGES for path in (folder / role).glob("*.py")]
+    assert {role for role in STAGES if any(path.parent.name == role for path in files)} == set(STAGES)
+    assert {path.name: lines for path in files if (lines := len(path.read_text("utf-8").splitlines())) > 110} == {}
+
+
 @pytest.mark.parametrize("toml", blocks("models.md", "toml"))
 def test_every_example_of_the_page_of_models_names_options_that_there_are(toml):
     import dataclasses

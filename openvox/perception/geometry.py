@@ -44,10 +44,6 @@ class NoBoxes:
         """The same for every frame."""
         return self._digest
 
-    def looks_at(self, frame: Frame) -> bool:
-        """Always."""
-        return True
-
     def __call__(self, frame: Frame) -> tuple[Box, ...]:
         """None."""
         return ()

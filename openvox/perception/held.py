@@ -65,7 +65,7 @@ def held(target: Path, recording: RecordingInfo, pipeline: Pipeline, selection: 
         return Held()
     same, asked = set[int](), set[int]()
     for frame in read_frames(recording.path):
-        wanted = selection.has(frame.index) and pipeline.det.looks_at(frame)
+        wanted = selection.has(frame.index) and pipeline.looks_at(frame)
         if wanted:
             asked.add(frame.index)
         if frame.index in known and _made_so(known[frame.index], frame_digest(frame), pipeline.keys(frame)):

@@ -53,10 +53,6 @@ class NanoDet:
         """The same for every frame."""
         return self._digest
 
-    def looks_at(self, frame: Frame) -> bool:
-        """Always; in a frame without colour there is nothing to find."""
-        return True
-
     def __call__(self, frame: Frame) -> tuple[Box, ...]:
         """In colour pixels, best first."""
         if not frame.color:

@@ -44,6 +44,10 @@ class Pipeline:
         for stage in (self.det, self.segcap, self.enc):
             getattr(stage, "prepare", lambda: None)()
 
+    def looks_at(self, frame: Frame) -> bool:
+        """False: the frame gets no message, as not looked at. Detectors that have nothing to say look at every one."""
+        return bool(getattr(self.det, "looks_at", lambda _: True)(frame))
+
     @property
     def device(self) -> str:
         """What the stages run on, in a few words."""
@@ -95,7 +99,7 @@ def perceive_frames(
         try:
             for frame in frames:
                 task = None
-                if pipeline.det.looks_at(frame):
+                if pipeline.looks_at(frame):
                     kept = [found for shelf in before if (found := shelf.at(frame.index)) is not None]
                     task = pool.submit(perceive_frame, pipeline, frame, kept)
                 waiting.append((frame, task))

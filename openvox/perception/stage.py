@@ -32,11 +32,7 @@ class Stage(Protocol):
 
 
 class Detector(Stage, Protocol):
-    """Det: where something is."""
-
-    def looks_at(self, frame: Frame) -> bool:
-        """False: the frame gets no message, as not looked at."""
-        ...
+    """Det: where something is. One that does not look at every frame has `looks_at(frame)`, see Pipeline."""
 
     def __call__(self, frame: Frame) -> tuple[Box, ...]:
         """Boxes in colour pixels, scores, words."""

@@ -18,8 +18,8 @@ from openvox.core.types import Frame
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
 from openvox.perception.det.boxes import letterboxed, suppressed
-from openvox.perception.det.yolo_model import input_size, read_words, words_inside
-from openvox.perception.det.yolo_outputs import decoded, padding
+from openvox.perception.det.yolo_model import input_size, padding, read_words, words_inside
+from openvox.perception.det.yolo_outputs import decoded
 from openvox.perception.onnx import Model
 from openvox.perception.stage import stage_digest
 
@@ -36,15 +36,11 @@ class YoloOptions:
     """What the TOML file may say in [det]."""
 
     file: str = parameter("", "", why="the ONNX file")
-    words: str = parameter(
-        "", "", why="a text file, one word a line by class number; else those in the model's metadata"
-    )
+    words: str = parameter("", "", why="a text file, a word a line by class number; else those in the model's file")
     score: float = parameter(0.3, "score", 0.0, 1.0, why="less sure boxes are more often wrong than right")
     top_k: int = parameter(100, "boxes", 1, 10_000, why="at most so many a frame, the best")
     overlap: float = parameter(0.7, "IoU", 0.0, 1.0, why="of two boxes of one word that overlap more the better stays")
-    side: int = parameter(
-        640, "px", 32, 4096, why="of the square that pictures are put into, if the file leaves it open"
-    )
+    side: int = parameter(640, "px", 32, 4096, why="of the square that pictures are put into, if it is left open")
 
 
 class Yolo:
@@ -82,10 +78,6 @@ class Yolo:
         """The same for every frame."""
         return self._digest
 
-    def looks_at(self, frame: Frame) -> bool:
-        """Always; in a frame without colour there is nothing to find."""
-        return True
-
     def __call__(self, frame: Frame) -> tuple[Box, ...]:
         """In colour pixels, best first. Raises InputError if the model's numbers are none that boxes can have."""
         return self._find(decode_color(frame)) if frame.color else ()
@@ -93,7 +85,7 @@ class Yolo:
     def _find(self, rgb: NDArray[np.uint8]) -> tuple[Box, ...]:
         options, model = self._options, self._model
         height, width = input_size(model, options.side)
-        picture, place = letterboxed(rgb, height, width, padding(model.outputs))
+        picture, place = letterboxed(rgb, height, width, padding(model))
         outputs = model.run_all({next(iter(model.inputs)): picture})
         corners, score, kind, alone = decoded(model, outputs, (height, width), len(self._words))
         best = np.argsort(-score, kind="stable")[:CANDIDATES]

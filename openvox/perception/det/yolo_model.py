@@ -1,4 +1,4 @@
-"""What a YOLO detector's file says of itself: the size of its picture, the words of its classes."""
+"""What a YOLO detector's file says of itself: the size of its picture, what is around it, the words of its classes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from openvox.core.errors import InputError
 from openvox.perception.det.yolo_outputs import EXPECTED
 from openvox.perception.onnx import Model
 
+GREY = 114
 MOST = 100_000
 
 
@@ -25,6 +26,18 @@ def input_size(model: Model, side: int) -> tuple[int, int]:
         raise model.refused("one picture at a time, [1,3,height,width]; export with batch size 1")
     height, width = (length if isinstance(length, int) else side for length in shape[2:])
     return height, width
+
+
+def padding(model: Model) -> int:
+    """Level of grey around the picture, as the exporter trained with: those that name boxes pad with black.
+
+    Raises InputError if the outputs are those of no family."""
+    if {"boxes", "scores"} <= model.outputs.keys():
+        return 0
+    shapes = [shape for _, shape in model.outputs.values()]
+    if len(shapes) != 1 or len(shapes[0]) not in (0, 3):  # 0: nothing is said of it
+        raise model.refused(EXPECTED)
+    return GREY
 
 
 def read_words(path: Path) -> list[str]:

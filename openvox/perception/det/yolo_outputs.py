@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,16 +24,10 @@ EXPECTED = (
     "the input images float[1,3,h,w] and, for c words, boxes [1,n,4] with scores [1,n,c]; or boxes, scores [1,n] and "
     "labels [1,n]; or one output [1,4+c,n], [1,n,6] or [1,n,5+c]"
 )
-GREY = 114
 Floats = NDArray[np.float32]
 Outputs = Mapping[str, NDArray[Any]]
 Found = tuple[Floats, Floats, NDArray[np.int64], bool]
 """(n, 4) corners in the model's picture, (n,) scores, (n,) classes, and whether overlapping ones were taken out."""
-
-
-def padding(outputs: Iterable[str]) -> int:
-    """Level of grey around the picture, as the exporter trained with: those that name boxes pad with black."""
-    return 0 if "boxes" in outputs else GREY
 
 
 def decoded(model: Model, outputs: Outputs, size: tuple[int, int], words: int) -> Found:
@@ -42,10 +36,8 @@ def decoded(model: Model, outputs: Outputs, size: tuple[int, int], words: int) -
         found = _finished(model, outputs)
     elif {"boxes", "scores"} <= outputs.keys():
         found = _named(model, outputs, words)
-    elif len(outputs) == 1 and next(iter(outputs.values())).ndim == 3:
-        found = _single(model, np.asarray(next(iter(outputs.values()))[0], np.float32), size, words)
     else:
-        raise model.refused(EXPECTED)
+        found = _single(model, np.asarray(next(iter(outputs.values()))[0], np.float32), size, words)
     corners, scores, kinds, alone = found
     if not (np.isfinite(corners).all() and np.isfinite(scores).all()):
         raise InputError(f"{model.file}: boxes or scores are not finite numbers; export it again")
