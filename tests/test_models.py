@@ -156,7 +156,10 @@ def test_a_model_that_fails_at_a_frame_leaves_nothing_under_the_files_name(recor
     ("text", "sentence"),
     [
         ('[det]\nstage = "yolo"', r"my.toml: det.file is missing; expected the path of a file"),
-        ('[det]\nstage = "yolo"\nfile = "x.onnx"', r"my.toml: det.file is 'x.onnx', and .*x.onnx is no file"),
+        (
+            '[det]\nstage = "yolo"\nfile = "x.onnx"',
+            r"det.file is 'x.onnx', but .*x.onnx is not a file; paths count from the folder of my.toml",
+        ),
         ('[det]\nstage = "yolov8"', r"my.toml: \[det\] stage is 'yolov8'; expected yolo-world, yolo, .* mean yolo\?"),
         ("[det]\nstage = 3", r"\[det\] stage is '3'; expected"),
         (
@@ -164,10 +167,14 @@ def test_a_model_that_fails_at_a_frame_leaves_nothing_under_the_files_name(recor
             r"my.toml: there is no stage \[detector\]; expected \[det\], \[segcap\], \[enc\]",
         ),
         ('[det]\nstage = "yolo"\nscor = 0.2', r"\[det\] yolo: an option is 'scor'; expected file, .* mean score\?"),
-        ("[det]\nscore = 0.2", r"\[det\] nanodet: an option is 'score'; expected none"),
-        ('[det]\nstage = "yolo"\nscore = 2', r"my.toml: det.score is 2 score; expected 0 .. 1"),
+        (
+            "[det]\nscore = 0.2",
+            r"\[det\] nanodet has no options, but 'score' was given; use --set offline.NAME=VALUE",
+        ),
+        ('[det]\nstage = "none"\nscore = 0.2', r"\[det\] none has no options, but 'score' was given; leave it out"),
+        ('[det]\nstage = "yolo"\nscore = 2', r"my.toml: det.score is 2; expected 0 .. 1"),
         ('[det]\nstage = "yolo"\ntop_k = "many"', r"my.toml: det.top_k is 'many'; expected a whole number"),
-        ('[enc]\nstage = "sentence-transformers"\nfolder = "no"', r"enc.folder is 'no', and .* is no folder"),
+        ('[enc]\nstage = "sentence-transformers"\nfolder = "no"', r"enc.folder is 'no', but .* is not a folder"),
         ("stage = 3", r"my.toml: 'stage' stands outside a table"),
         ("[det", r"my.toml: cannot be read as TOML"),
     ],
@@ -198,6 +205,57 @@ def test_options_that_do_not_go_together_are_a_sentence(recording, options, sent
 def test_a_parameter_of_a_stage_that_is_not_chosen_is_a_sentence(recording, models):
     with pytest.raises(InputError, match=r"geometry.far has no effect here, because masks are found by models"):
         perceive(recording, models=models, assignments=["geometry.far=3"])
+
+
+# --set over the file
+
+
+def test_set_goes_over_what_the_file_says_and_is_the_same_as_saying_it_there(recording, models):
+    given = perceive(
+        recording, models=models, assignments=["det.score=0.5", "det.top_k=7"], out=recording.with_name("set.mcap")
+    )
+    assert perception_info(given.output).parameters.items() >= {("det.score", 0.5), ("det.top_k", 7)}
+    written(models.parent, ALL.replace("[segcap]", "score = 0.5\ntop_k = 7\n[segcap]"))
+    assert given.output.read_bytes() == perceive(recording, models=models).output.read_bytes()
+    assert perceive(recording, models=models).untouched
+    assert not perceive(recording, models=models, assignments=["det.score=0.6"]).untouched
+
+
+def test_paths_of_set_count_from_the_current_folder(recording, models, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.txt").write_text("mug\nstool\n")
+    result = perceive(recording, models=models, assignments=["det.words=mine.txt"])
+    assert {mask.label for found in read_masks(result.output) for mask in found.masks} == {"mug"}
+    with pytest.raises(InputError, match=r"--set: det.words is 'words.txt', which is not a file; paths .* current"):
+        perceive(recording, models=models, assignments=["det.words=words.txt"])
+
+
+def test_set_may_go_to_a_stage_and_to_parameters_at_once(recording, models):
+    written(models.parent, ALL.partition("[segcap]")[0])
+    result = perceive(recording, models=models, assignments=["geometry.far=5", "det.score=0.5"])
+    assert perception_info(result.output).parameters.items() >= {("geometry.far", 5.0), ("det.score", 0.5)}
+
+
+@pytest.mark.parametrize(
+    ("assignment", "sentence"),
+    [
+        ("det.score=2", r"^--set: det.score is 2; expected 0 .. 1$"),
+        ("det.scor=0.2", r"^--set: \[det\] yolo-world: an option is 'scor'; expected file, .* did you mean score"),
+        ("segcap.score=0.2", r"^--set: \[segcap\] sam: an option is 'score'; expected encoder, decoder$"),
+        ("det.stage=none", r"^--set: \[det\] yolo-world: an option is 'stage'; expected file"),
+        ("enc.prefix=a", r"^--set: enc.prefix must stand in .*my.toml, because maps are asked with it as well$"),
+    ],
+)
+def test_what_is_wrong_with_set_is_a_sentence(recording, models, assignment, sentence):
+    with pytest.raises(InputError, match=sentence):
+        perceive(recording, models=models, assignments=[assignment])
+    assert not recording.with_name("a.perception.mcap").exists()
+
+
+@pytest.mark.parametrize("frontend", [None, "geometry"])
+def test_options_of_stages_want_a_file_that_chooses_them(recording, frontend):
+    with pytest.raises(InputError, match=r"^--set: det.score is for the stages of --models FILE.toml; give such a"):
+        perceive(recording, frontend=frontend, assignments=["det.score=0.5"])
 
 
 def test_a_map_is_asked_with_the_encoder_of_the_same_file(recording, models, tmp_path):

@@ -11,7 +11,7 @@ from typing import Literal
 
 from openvox.apps.cores import cores
 from openvox.core.errors import InputError
-from openvox.core.parameters import from_assignments, updated
+from openvox.core.parameters import Value, from_assignments, updated
 from openvox.core.types import Frame
 from openvox.formats.detections import DetectionFile
 from openvox.formats.perception import (
@@ -27,7 +27,7 @@ from openvox.formats.recording import RecordingInfo, read_frames, recording_info
 from openvox.perception.held import Selection, held
 from openvox.perception.parameters import PerceptionParameters
 from openvox.perception.pipeline import Pipeline, perceive_frames
-from openvox.perception.stages import Chosen, of_frontend, pipeline_of, read_models
+from openvox.perception.stages import STAGES, Chosen, assigned, of_frontend, pipeline_of, read_models
 
 Frontend = Literal["offline", "geometry", "oracle", "models"]
 ENCODER = "minilm"
@@ -80,14 +80,18 @@ def perceive(
     """Runs Det, SegCap and Enc over a recording's frames; `out` appears complete or not at all.
 
     frontend: offline (the default), geometry or oracle; models, a TOML file that chooses the stages (see
-    perception/stages.py); or detections, a file of the user's own front end. assignments: `group.name=value` texts.
+    perception/stages.py); or detections, a file of the user's own front end. assignments: `group.name=value` texts,
+    also of the stages that such a file chooses, as `det.score=0.2`, over what it says; paths in them count from the
+    current folder.
     start, end (exclusive), stride: frame numbers. jobs: threads, by default one a core; the result is the same. What an
     older file of that name, or an interrupted run, holds of the same stages is not done again, and frames that are not
     asked for stay in it.
     Raises InputError, OutputError."""
     began = time.perf_counter()
-    chosen = _chosen(frontend, models, detections)
-    parameters = _parameters(chosen, assignments)
+    changes = from_assignments(assignments)
+    of_stages = {name: value for name, value in changes.items() if name.partition(".")[0] in STAGES}
+    chosen = assigned(_chosen(frontend, models, detections), of_stages)
+    parameters = _parameters(chosen, {name: value for name, value in changes.items() if name not in of_stages})
     info = recording_info(recording)
     target = out or recording.with_name(recording.stem + SUFFIX)
     _check_target(target, recording, detections, models)
@@ -210,13 +214,14 @@ def _chosen(frontend: Frontend | None, models: Path | None, detections: Path | N
     return of_frontend(frontend or "offline")
 
 
-def _parameters(chosen: Chosen, assignments: Sequence[str]) -> PerceptionParameters:
+def _parameters(chosen: Chosen, changes: Mapping[str, Value]) -> PerceptionParameters:
     """Of all front ends; only those of the chosen one may be set."""
-    changes = from_assignments(assignments)
     parameters = updated(PerceptionParameters(), changes, source="--set")
     for name in changes:
         if name.partition(".")[0] not in chosen.groups:
             what = "come as they are" if chosen is GIVEN else f"are found by {chosen.name}"
+            if chosen.name == "models":
+                what += f" ({', '.join(chosen.names.values())})"
             raise InputError(f"--set: {name} has no effect here, because masks {what}; leave it out")
     return parameters
 

@@ -18,6 +18,8 @@ from openvox.core.errors import InputError
 
 Value = bool | int | float | str
 Set = TypeVar("Set")
+PURE = ("IoU", "confidence", "cosine", "factor", "number", "probability", "score", "share", "weight")
+"""Units that say what a number means and are not said after it."""
 
 
 def parameter(
@@ -104,7 +106,7 @@ def updated(parameters: Set, changes: Mapping[str, Value], *, source: str) -> Se
     values = as_dict(parameters)
     for name, raw in changes.items():
         if name not in described:
-            near = difflib.get_close_matches(name, described, n=1, cutoff=0.4)
+            near = difflib.get_close_matches(name, described, n=1)
             hint = f"; did you mean {near[0]}?" if near else "; openvox info --parameters lists all"
             raise InputError(f"{source}: there is no parameter {name!r}{hint}")
         values[name] = _checked(described[name], raw, source)
@@ -152,7 +154,8 @@ def _checked(row: Description, raw: Value, source: str) -> Value:
         low = -math.inf if row.low is None else row.low
         high = math.inf if row.high is None else row.high
         if not (math.isfinite(value) and low <= value <= high):
-            raise InputError(f"{source}: {row.name} is {value:g} {row.unit}; expected {row.range}")
+            unit = "" if row.unit in PURE else f" {row.unit}"
+            raise InputError(f"{source}: {row.name} is {value:g}{unit}; expected {row.range}")
     return value
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,13 +61,15 @@ LARGEST_TOML = 1 << 20
 @dataclass(frozen=True)
 class Chosen:
     """The stage of each role, and what a TOML file says of it. `name`: of the front end. `asked_by`: what to call it in
-    errors. `folder`: where paths count from."""
+    errors. `folder`: where paths count from. `assigned`: options of --set, by dotted name, whose paths count from the
+    current folder; they go before those of the file."""
 
     name: str
     names: Mapping[str, str]
     options: Mapping[str, Mapping[str, Value]]
     asked_by: str
     folder: Path
+    assigned: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -85,29 +87,35 @@ class Setting:
     asked_by: str
     root: Path
     """Where paths of the TOML file count from: its own folder."""
+    assigned: Collection[str] = ()
+    """Options that --set gave; their paths count from the current folder."""
 
     def file(self, option: str, value: str) -> Path:
         """The path that an option names; it must be a file. Raises InputError."""
-        path = self._path(option, value, "a file")
+        path = self._path(option, value)
         if not path.is_file():
-            raise InputError(
-                f"{self.asked_by}: {option} is {value!r}, and {path} is no file; paths count from its folder"
-            )
+            raise self._lacking(option, value, path, "a file")
         return path
 
     def folder(self, option: str, value: str) -> Path:
         """The same for a folder."""
-        path = self._path(option, value, "a folder")
+        path = self._path(option, value)
         if not path.is_dir():
-            raise InputError(
-                f"{self.asked_by}: {option} is {value!r}, and {path} is no folder; paths count from its own"
-            )
+            raise self._lacking(option, value, path, "a folder")
         return path
 
-    def _path(self, option: str, value: str, what: str) -> Path:
+    def _path(self, option: str, value: str) -> Path:
+        return Path("" if option in self.assigned else self.root) / Path(value).expanduser()
+
+    def _lacking(self, option: str, value: str, path: Path, what: str) -> InputError:
         if not value:
-            raise InputError(f"{self.asked_by}: {option} is missing; expected the path of {what}")
-        return self.root / Path(value).expanduser()
+            return InputError(f"{self.asked_by}: {option} is missing; expected the path of {what}")
+        if option in self.assigned:
+            return InputError(f"--set: {option} is {value!r}, which is not {what}; paths count from the current folder")
+        return InputError(
+            f"{self.asked_by}: {option} is {value!r}, but {path} is not {what}; paths count from the folder of "
+            f"{Path(self.asked_by).name}"
+        )
 
 
 def of_frontend(name: str) -> Chosen:
@@ -132,9 +140,21 @@ def read_models(path: Path) -> Chosen:
     return Chosen("models", names, options, str(path), path.parent)
 
 
+def assigned(chosen: Chosen, changes: Mapping[str, Value]) -> Chosen:
+    """With options of stages from --set, as in det.score=0.2, before those of the TOML file. Raises InputError."""
+    for name in changes:
+        if chosen.name != "models":
+            raise InputError(
+                f"--set: {name} is for the stages of --models FILE.toml; give such a file, or leave it out"
+            )
+        if name.startswith("enc."):
+            raise InputError(f"--set: {name} must stand in {chosen.asked_by}, because maps are asked with it as well")
+    return dataclasses.replace(chosen, assigned=changes) if changes else chosen
+
+
 def pipeline_of(chosen: Chosen, recording: RecordingInfo, parameters: PerceptionParameters) -> Pipeline:
     """Det, SegCap and Enc, each module imported now that it is used. Raises InputError, also for unfit models."""
-    setting = Setting(recording, parameters, chosen.asked_by, chosen.folder)
+    setting = Setting(recording, parameters, chosen.asked_by, chosen.folder, chosen.assigned.keys())
     det, segcap, enc = (_made(role, chosen, setting) for role in STAGES)
     return Pipeline(det, segcap, enc)
 
@@ -151,18 +171,35 @@ def encoder_to_ask(chosen: Chosen) -> Texts:
 
 
 def _made(role: str, chosen: Chosen, setting: Setting) -> Any:
-    module, _, name = STAGES[role][chosen.names[role]].where.partition(":")
+    row = STAGES[role][chosen.names[role]]
+    module, _, name = row.where.partition(":")
     make = getattr(importlib.import_module(module), name)
-    kind, given = getattr(make, "Options", None), chosen.options.get(role, {})
-    where = f"{chosen.asked_by}: [{role}] {chosen.names[role]}"
-    for key in given:
-        _known(key, [field.name for field in dataclasses.fields(kind)] if kind else [], f"{where}: an option")
-    if kind is None:
-        return make(None, setting)
-    # `updated` checks a set of groups: here one group, named as the table of the file.
-    group = dataclasses.make_dataclass("Group", [(role, kind, dataclasses.field(default_factory=kind))], frozen=True)
-    filled = updated(group(), {f"{role}.{key}": value for key, value in given.items()}, source=chosen.asked_by)
-    return make(getattr(filled, role), setting)
+    kind = getattr(make, "Options", None)
+    options = kind() if kind else None
+    of_set = {name.partition(".")[2]: v for name, v in chosen.assigned.items() if name.partition(".")[0] == role}
+    for source, given in ((chosen.asked_by, chosen.options.get(role, {})), ("--set", of_set)):
+        for key in given:
+            _check_option(key, options, f"{source}: [{role}] {chosen.names[role]}", row)
+        if given:
+            options = _filled(role, options, given, source)
+    return make(options, setting)
+
+
+def _filled(role: str, options: Any, given: Mapping[str, Value], source: str) -> Any:
+    """`updated` checks a set of groups: here one group, named as the table of the file."""
+    one = dataclasses.make_dataclass("Group", [(role, type(options))], frozen=True)
+    return getattr(updated(one(options), {f"{role}.{key}": v for key, v in given.items()}, source=source), role)
+
+
+def _check_option(key: str, options: Any, where: str, row: Row) -> None:
+    names = [field.name for field in dataclasses.fields(options)] if options else []
+    if names:
+        _known(key, names, f"{where}: an option")
+    else:
+        groups = " and ".join(f"--set {group}.NAME=VALUE" for group in row.groups)
+        raise InputError(
+            f"{where} has no options, but {key!r} was given; " + (f"use {groups}" if groups else "leave it out")
+        )
 
 
 def _known(name: str, names: Any, where: str) -> str:

@@ -14,7 +14,7 @@ from openvox.cli.progress import progress
 EXAMPLES = (
     "openvox perceive living.mcap",
     "openvox perceive living.mcap --detections my_detector.jsonl",
-    "openvox perceive living.mcap --frontend models --models my.toml",
+    "openvox perceive living.mcap --models my.toml --set det.score=0.2",
     "openvox perceive living.mcap office.mcap --set geometry.min_pixels=600",
     "openvox perceive /data/*.mcap --dask tcp://10.0.0.5:8786",
 )
@@ -31,13 +31,23 @@ def perceive(
     ] = None,
     models: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Detector, segmenter and encoder of your own; see docs/models.md."),
+        typer.Option(
+            metavar="FILE.toml",
+            help="Detector, segmenter and encoder of your own (implies --frontend models); see docs/models.md.",
+        ),
     ] = None,
     detections: Annotated[
         Path | None, typer.Option(metavar="FILE.jsonl", help="Masks and captions of a front end of your own.")
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Instead of STEM.perception.mcap.")] = None,
-    assignments: options.Assignments = None,
+    assignments: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="K=V",
+            help="A parameter, as geometry.far=5, or with --models an option, as det.score=0.2; may be repeated.",
+        ),
+    ] = None,
     start: options.Start = None,
     end: options.End = None,
     stride: options.Stride = 1,
