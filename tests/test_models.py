@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import ceil, floor
 from pathlib import Path
 from typing import Any
@@ -133,6 +134,24 @@ def test_a_complete_cache_loads_no_model(recording, models, monkeypatch, fronten
     encoder.cache_clear()
     assert perceive(recording, **options).untouched
     assert loaded == []
+
+
+def test_a_changed_encoder_loads_neither_detector_nor_segmenter(recording, models, monkeypatch):
+    import onnxruntime
+
+    perceive(recording, models=models)
+    loaded: list[str] = []
+    original = onnxruntime.InferenceSession
+    monkeypatch.setattr(
+        onnxruntime,
+        "InferenceSession",
+        lambda file, *rest, **more: loaded.append(Path(file).name) or original(file, *rest, **more),
+    )
+    graphs.sentence_folder(models.parent / "other")
+    written(models.parent, ALL.replace('"mine"', '"other"'))
+    result = perceive(recording, models=models)
+    assert (result.encoder, result.computed) == ("other", {"det": 0, "segcap": 0, "enc": 4})
+    assert loaded == ["model.onnx"]
 
 
 def test_the_number_of_workers_changes_no_byte(recording, models):
@@ -272,13 +291,31 @@ def test_a_map_is_asked_with_the_encoder_of_the_same_file(recording, models, tmp
         query(made, ["a cup"], models=written(models.parent, ""))
 
 
-def test_the_command_says_what_the_models_ran_on(recording, models, capsys):
+def said(capsys, *words: Any) -> str:
     from openvox.cli import main
 
     with pytest.raises(SystemExit) as left:
-        main(["perceive", str(recording), "--frontend", "models", "--models", str(models)])
+        main(["perceive", *map(str, words)])
     assert not left.value.code
-    assert "captions encoded by mine, models on the CPU" in capsys.readouterr().out
+    return str(capsys.readouterr().out).splitlines()[0]
+
+
+def test_the_command_says_only_what_ran_and_on_what(recording, models, capsys):
+    def line() -> str:
+        return re.sub(r"[0-9.]+ (s|frames/s)", r"N \1", said(capsys, recording, "--models", models))
+
+    first = "4 frames looked at, 4 masks (4 objects)"
+    assert line() == f"{first}, N s, N frames/s, captions encoded by mine, models on the CPU"
+    assert line() == first
+    written(models.parent, ALL.partition("[enc]")[0])
+    assert line() == f"{first}, N s, N frames/s, new: captions encoded by minilm in 4 frames, models on the CPU"
+
+
+def test_what_a_file_of_detections_brings_was_run_on_nothing(tmp_path, recording, capsys):
+    from test_perceive import detected, given
+
+    path = given(tmp_path, {0: [detected(1, 4, 120, 160, embedding=[1.0, 0.0])]}, encoder="clip")
+    assert said(capsys, recording, "--detections", path).endswith(" frames/s, embeddings by clip as given")
 
 
 class Placed:
@@ -292,8 +329,12 @@ def test_what_ran_on_a_gpu_is_said_in_one_line():
     from openvox.perception.pipeline import Pipeline
 
     cpu, gpu = Placed("CPU"), Placed("CUDA")
-    assert Pipeline(cpu, cpu, object()).device == "on the CPU"  # type: ignore[arg-type]
-    assert Pipeline(gpu, gpu, cpu).device == "det on the GPU (CUDA), segcap on the GPU (CUDA), the rest on the CPU"  # type: ignore[arg-type]
+    assert Pipeline(cpu, cpu, object()).device() == "on the CPU"  # type: ignore[arg-type]
+    mixed = Pipeline(gpu, gpu, cpu)  # type: ignore[arg-type]
+    assert mixed.device() == "det on the GPU (CUDA), segcap on the GPU (CUDA), the rest on the CPU"
+    assert mixed.device(["enc"]) == "on the CPU"
+    assert mixed.device(["det"]) == "det on the GPU (CUDA)"
+    assert mixed.device([]) == ""
 
 
 def test_a_gpu_is_tried_first_where_there_is_one(models, monkeypatch):

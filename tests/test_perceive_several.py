@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -27,12 +28,13 @@ def test_each_recording_has_its_result_or_its_error_in_the_order_they_were_given
     found = perceive_several(
         [first, blind, damaged, last], jobs=2, frontend="oracle", progress=lambda *now: done.append(now)
     )
-    a, b, c, d = found
+    a, b, c, d = found.results
     assert isinstance(a, PerceiveResult)
     assert isinstance(d, PerceiveResult)
     assert (a.frames, d.frames) == (3, 2)
     assert "blind.mcap has no ground truth" in str(b)
     assert "damaged.mcap is damaged" in str(c)
+    assert found.frames_per_second == pytest.approx(5 / found.seconds)
     assert done == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert sorted(path.name for path in tmp_path.glob("*.perception.mcap*")) == [
         "first.perception.mcap",
@@ -40,6 +42,21 @@ def test_each_recording_has_its_result_or_its_error_in_the_order_they_were_given
     ]
     alone = perceive(first, frontend="oracle", out=tmp_path / "alone.mcap")
     assert alone.output.read_bytes() == a.output.read_bytes()
+
+
+def test_the_command_prints_how_fast_each_was_and_all_were(tmp_path: Path, capsys):
+    from openvox.cli import main
+
+    paths = [record(tmp_path / name, tiny_frames(2)) for name in ("a.mcap", "b.mcap")]
+    lines = []
+    for _ in range(2):
+        with pytest.raises(SystemExit):
+            main(["perceive", *map(str, paths), "--frontend", "oracle"])
+        lines.append(re.sub(r"[0-9.]+ (s|frames/s)", r"N \1", capsys.readouterr().out).splitlines())
+    each = "2 frames looked at, 2 masks (2 objects), N s, N frames/s, captions encoded by minilm, models on the CPU"
+    assert [line for line in lines[0] if "looked at" in line] == [f"{path}: {each}" for path in paths]
+    assert lines[0][-1] == "in all: 2 of 2 recordings, N s, N frames/s"
+    assert lines[1][-1] == "in all: 2 of 2 recordings, N s"
 
 
 def test_one_recording_twice_would_write_over_itself(tmp_path: Path):

@@ -26,7 +26,7 @@ from openvox.formats.perception import (
 from openvox.formats.recording import RecordingInfo, read_frames, recording_info
 from openvox.perception.held import Selection, held
 from openvox.perception.parameters import PerceptionParameters
-from openvox.perception.pipeline import Pipeline, perceive_frames
+from openvox.perception.pipeline import ROLES, Pipeline, perceive_frames
 from openvox.perception.stages import STAGES, Chosen, assigned, of_frontend, pipeline_of, read_models
 
 Frontend = Literal["offline", "geometry", "oracle", "models"]
@@ -54,11 +54,14 @@ class PerceiveResult:
     skipped: int
     """Frame numbers of the detections that the recording lacks."""
     encoder: str
+    computed: Mapping[str, int]
+    """Number of frames that each stage was run on; what it had done before is not counted."""
     device: str
-    """What the models ran on, in a few words."""
+    """What these stages ran on, in a few words; "" if none ran that has a model."""
     digest: str
     seconds: float
     frames_per_second: float
+    """Frames that any stage was run on, in all the seconds that this took."""
     notes: tuple[str, ...]
     """What else one should know, a sentence each."""
 
@@ -100,7 +103,7 @@ def perceive(
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     selection = Selection(start, end, stride)
     notes: list[str] = []
-    reused, lacking = 0, list[int]()
+    computed, lacking = dict.fromkeys(ROLES, 0), list[int]()
     with ExitStack() as stack:
         file = stack.enter_context(DetectionFile(detections)) if detections else None
         pipeline = _pipeline(info, parameters, file, chosen)
@@ -109,29 +112,28 @@ def perceive(
             raise _would_be_lost(target, found.others)
         if found.complete:
             notes.append(f"{target.name} holds all of that already; nothing was done")
-            reused = perception_info(target).frames
             lacking = [n for n in sorted(file.frames) if selection.has(n) and n not in found.asked] if file else []
             interrupted(target, forget=True)
         else:
-            pipeline.prepare()
             work = _Work(info, pipeline, file, selection, found.beside, jobs, progress)
-            reused, lacking = _write(target, work, notes)
+            computed, lacking = _write(target, work, notes)
     written = perception_info(target)
     seconds = time.perf_counter() - began
     return PerceiveResult(
         output=target,
         frontend=chosen.name,
         frames=written.frames,
-        reused=reused,
+        reused=written.frames - computed["enc"],
         untouched=found.complete,
         masks=written.masks,
         kinds=written.kinds,
         skipped=len(lacking),
         encoder=written.encoder,
-        device=pipeline.device,
+        computed=computed,
+        device=pipeline.device([role for role, frames in computed.items() if frames]),
         digest=written.digest,
         seconds=seconds,
-        frames_per_second=written.frames / seconds,
+        frames_per_second=computed["enc"] / seconds,
         notes=(*notes, *_skipped(detections, lacking)),
     )
 
@@ -162,11 +164,11 @@ class _Work:
                     yield frame
 
 
-def _write(target: Path, work: _Work, notes: list[str]) -> tuple[int, list[int]]:
-    """The new file; how many frames were there already, and the frames of the detections that the recording lacks."""
+def _write(target: Path, work: _Work, notes: list[str]) -> tuple[dict[str, int], list[int]]:
+    """The new file; how many frames each stage was run on, and frames of the detections that the recording lacks."""
     pipeline, file = work.pipeline, work.file
     lacking = {number for number in file.frames if work.selection.has(number)} if file else set[int]()
-    reused, total = 0, len(work.beside) + _total(work.info, work.selection)
+    computed, total = dict.fromkeys(ROLES, 0), len(work.beside) + _total(work.info, work.selection)
     left = interrupted(target)
     with ExitStack() as stack:
         frames = stack.enter_context(closing(work.frames()))
@@ -185,7 +187,8 @@ def _write(target: Path, work: _Work, notes: list[str]) -> tuple[int, list[int]]
             lacking.discard(frame.index)
             if found is not None:
                 writer.add(found[0])
-                reused += found[1]
+                for role in found[1]:
+                    computed[role] += 1
             if work.progress is not None:
                 work.progress(done, max(done, total))
         if not writer.frames:
@@ -194,7 +197,7 @@ def _write(target: Path, work: _Work, notes: list[str]) -> tuple[int, list[int]]
         left.unlink(missing_ok=True)
     if work.beside:
         notes.append(f"{len(work.beside)} frames that were not asked for stay in {target.name} as they were")
-    return reused, sorted(lacking)
+    return computed, sorted(lacking)
 
 
 def _chosen(frontend: Frontend | None, models: Path | None, detections: Path | None) -> Chosen:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,16 @@ from openvox.core.errors import InputError
 Progress = Callable[[int, int], None] | None
 
 
+@dataclass(frozen=True)
+class SeveralResult:
+    """`results`: of each recording, in their order, what was found, or a sentence if it failed. `seconds`: in all.
+    `frames_per_second`: those that any stage was run on, of all recordings."""
+
+    results: list[PerceiveResult | str]
+    seconds: float
+    frames_per_second: float
+
+
 def perceive_several(
     recordings: Sequence[Path],
     *,
@@ -23,12 +35,13 @@ def perceive_several(
     dask: str | None = None,
     progress: Progress = None,
     **options: Any,
-) -> list[PerceiveResult | str]:
-    """Of each recording what was found, or a sentence if it failed.
+) -> SeveralResult:
+    """Every recording for itself; one that fails stops no other.
 
     jobs: how much is done at a time, by default one a core: that many recordings, and if there are fewer, frames of
     each. dask: address of a scheduler, whose workers do a recording each at a time; they must see
     the same files under the same paths. options: of apps.perceive. progress: of recordings. Raises InputError."""
+    began = time.perf_counter()
     given = [recording.resolve() for recording in recordings]
     twice = [str(path) for path, place in zip(recordings, given, strict=True) if given.count(place) > 1]
     if twice:
@@ -36,25 +49,27 @@ def perceive_several(
     if dask is not None:
         whole = {name: value.resolve() if isinstance(value, Path) else value for name, value in options.items()}
         with cluster(dask) as found:
-            return _collected(found.each(partial(_one, options=whole), given), len(given), progress)
+            return _collected(found.each(partial(_one, options=whole), given), len(given), progress, began)
     jobs = cores() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     each = max(1, jobs // len(recordings))
     work = partial(_one, options={**options, "jobs": each})
-    return _collected(in_processes(work, list(recordings), jobs), len(recordings), progress)
+    return _collected(in_processes(work, list(recordings), jobs), len(recordings), progress, began)
 
 
 def _collected(
-    outcomes: Iterable[Outcome[PerceiveResult]], total: int, progress: Progress
-) -> list[PerceiveResult | str]:
+    outcomes: Iterable[Outcome[PerceiveResult]], total: int, progress: Progress, began: float
+) -> SeveralResult:
     """What became of each, in the order of the recordings."""
     results: list[PerceiveResult | str] = [""] * total
     for done, outcome in enumerate(outcomes, 1):
         results[outcome.place] = outcome.result if outcome.result is not None else outcome.error or ""
         if progress is not None:
             progress(done, total)
-    return results
+    seconds = time.perf_counter() - began
+    frames = sum(result.computed["enc"] for result in results if isinstance(result, PerceiveResult))
+    return SeveralResult(results, seconds, frames / seconds)
 
 
 def _one(recording: Path, options: Mapping[str, Any]) -> PerceiveResult:

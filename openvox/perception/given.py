@@ -19,6 +19,8 @@ class _Given:
     """What all three stages share: the file, whose bytes enter every key."""
 
     name = "detections"
+    device = ""
+    """No model is run."""
 
     def __init__(self, file: DetectionFile) -> None:
         self._file = file

@@ -50,7 +50,7 @@ def front_end(name: LiveFrontend) -> Eyes:
     from openvox.perception.encoder import encoder
     from openvox.perception.geometry import Geometry, NoBoxes
     from openvox.perception.parameters import PerceptionParameters
-    from openvox.perception.pipeline import Pipeline, perceive_frame
+    from openvox.perception.pipeline import ROLES, Pipeline, perceive_frame
     from openvox.perception.planes import Room
 
     parameters, captions = PerceptionParameters(), CaptionEncoder(encoder("minilm"))
@@ -62,7 +62,8 @@ def front_end(name: LiveFrontend) -> Eyes:
 
         stages = Offline(parameters.geometry, parameters.offline, Room())
         pipeline = Pipeline(NanoDet(parameters.offline), stages, captions)
-    pipeline.prepare()
+    for role in ROLES:
+        pipeline.ready(role)
 
     def look(frame: Frame) -> FrameMasks | None:
         return perceive_frame(pipeline, frame)[0]

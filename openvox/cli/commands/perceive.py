@@ -100,31 +100,45 @@ def _several(recordings: list[Path], options_of_all: dict[str, Any], dask: str |
     )
     results = [
         {"recording": str(recording), **({"error": result} if isinstance(result, str) else tables.plain(result))}
-        for recording, result in zip(recordings, found, strict=True)
+        for recording, result in zip(recordings, found.results, strict=True)
     ]
-    tables.show({"recordings": results}, json, print_several)
+    whole = {"recordings": results, "seconds": found.seconds, "frames_per_second": found.frames_per_second}
+    tables.show(whole, json, print_several)
     if any("error" in result for result in results):
         raise typer.Exit(3)
 
 
-def print_result(data: tables.Data) -> None:
-    """What was found, and what was there already."""
+def print_result(data: tables.Data, before: str = "") -> None:
+    """What was found, what of it was there already, and what ran. before: what the line begins with."""
     kinds = ", ".join(f"{count} {kind}s" for kind, count in data["kinds"].items())
-    again = f", {data['reused']} of them from an earlier run" if data["reused"] else ""
-    print(
-        f"{data['frames']} frames looked at{again}, {data['masks']} masks ({kinds or 'none'}), "
-        f"{data['seconds']:.1f} s, captions encoded by {data['encoder']}, "
-        f"models {data['device']}"
-    )
+    print(f"{before}{data['frames']} frames looked at, {data['masks']} masks ({kinds or 'none'}){_ran(data)}")
     tables.notes(data)
     if not data["untouched"]:
         tables.wrote(data["output"])
 
 
+def _ran(data: tables.Data) -> str:
+    """Of the stages only those that were run, and on how many frames unless on all."""
+    encoded = (
+        f"captions encoded by {data['encoder']}" if data["device"] else f"embeddings by {data['encoder']} as given"
+    )
+    makes = {"det": "boxes", "segcap": "masks", "enc": encoded}
+    done = {role: frames for role, frames in data["computed"].items() if frames}
+    if not done:
+        return ""
+    all_of_it = set(data["computed"].values()) == {data["frames"]}
+    new = encoded if all_of_it else "new: " + ", ".join(f"{makes[role]} in {done[role]} frames" for role in done)
+    where = f", models {data['device']}" if data["device"] else ""
+    return f", {data['seconds']:.1f} s, {data['frames_per_second']:.1f} frames/s, {new}{where}"
+
+
 def print_several(data: tables.Data) -> None:
-    """The same for each of several recordings, or why one failed."""
+    """The same for each of several recordings, or why one failed, and how fast they were together."""
     for result in data["recordings"]:
         if "error" in result:
             print(f"openvox: {result['error']}", file=sys.stderr)
         else:
-            print_result(result)
+            print_result(result, f"{result['recording']}: ")
+    done = sum("error" not in result for result in data["recordings"])
+    rate = f", {data['frames_per_second']:.1f} frames/s" if data["frames_per_second"] else ""
+    print(f"in all: {done} of {len(data['recordings'])} recordings, {data['seconds']:.1f} s{rate}")
