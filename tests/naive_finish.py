@@ -112,11 +112,12 @@ def unit(total: list[int]) -> list[np.float32]:
 def kept_voxels(voxels: set[Voxel], group: list[Piece], p: FinishParameters) -> set[Voxel]:
     """An instance's voxels without loose parts; none if too few frames matched it or it is too small."""
     matched, seen = frames(group)
-    rare = len(matched) < p.min_frames or MILLION * len(matched) < round(p.min_share * MILLION) * len(seen)
+    least = min(p.min_frames, len(seen)) if p.brief else p.min_frames
+    rare = len(matched) < least or MILLION * len(matched) < round(p.min_share * MILLION) * len(seen)
     if rare or len(voxels) < p.min_voxels:
         return set()
-    least = round(p.min_part * MILLION) * len(voxels)
-    return {voxel for part in parts(voxels) if MILLION * len(part) >= least for voxel in part}
+    small = round(p.min_part * MILLION) * len(voxels)
+    return {voxel for part in parts(voxels) if MILLION * len(part) >= small for voxel in part}
 
 
 def finish(

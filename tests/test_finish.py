@@ -146,6 +146,24 @@ def test_an_object_must_be_matched_often_enough_and_be_large_enough(limits: dict
     assert result.vote_count.tolist() == [2, 2, 2]
 
 
+@pytest.mark.parametrize(
+    ("min_frames", "matched", "seen", "brief", "exists"),
+    [
+        (2, 0b001, 0b001, True, True),  # in view once, and matched then: a detector that looks seldom saw no more of it
+        (2, 0b001, 0b001, False, False),
+        (2, 0b001, 0b011, True, False),  # in view twice, matched once
+        (3, 0b011, 0b011, True, True),
+        (3, 0b011, 0b111, True, False),
+    ],
+)
+def test_what_few_frames_saw_must_be_matched_in_all_of_them(
+    min_frames: int, matched: int, seen: int, brief: bool, exists: bool
+) -> None:
+    fragments = {1: fragment(1, matched=matched, seen=seen)}
+    result = finished(line({1: 2}), {1: 1}, openvox(min_frames=min_frames, brief=brief), fragments)
+    assert result.instance_id.tolist() == ([1] if exists else [])
+
+
 def test_what_is_dropped_says_why() -> None:
     result = finished(line({1: 2}), {1: 1}, openvox(min_voxels=4))
     assert [(event.kind, event.instance) for event in result.events] == [("dropped", 1)]

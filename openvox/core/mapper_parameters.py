@@ -227,6 +227,12 @@ class FinishParameters:
     min_frames: int = parameter(
         2, "frames", 0, 1000, needs="finish.existence", why="matched frames an object must have"
     )
+    brief: bool = parameter(
+        True,
+        "",
+        needs="finish.existence",
+        why="what fewer frames than min_frames saw must be matched in all of them: a slow detector loses nothing",
+    )
     min_share: float = parameter(
         0.15,
         "share",
@@ -275,7 +281,7 @@ PAPER = MapperParameters(
     association=replace(OPENVOX.association, containment=False),
     evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, near=0.0, cut=False),
     lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
-    finish=replace(OPENVOX.finish, smoothing=0, existence=False),
+    finish=replace(OPENVOX.finish, smoothing=0, existence=False, brief=False),
 )
 OFFICIAL = replace(
     PAPER,

@@ -188,7 +188,10 @@ def _existing(
         return shown
     sizes = np.bincount(shown)
     for i in np.flatnonzero(sizes).tolist():
-        if i and not exists(memories[i], int(sizes[i]), parameters):
+        if not i:
+            continue
+        frames = min(parameters.min_frames, memories[i].seen) if parameters.brief else parameters.min_frames
+        if not exists(memories[i], int(sizes[i]), parameters, frames):
             gone[i] = (
                 f"matched in {memories[i].matched} of {memories[i].seen} frames that saw it, {sizes[i]} voxels: too few"
             )

@@ -11,13 +11,13 @@ from openvox.mapper.codebook import Fragment, Memory, memory_of
 from openvox.mapper.evidence import Evidence
 
 
-def exists(memory: Memory, voxels: int, parameters: FinishParameters) -> bool:
-    """Whether enough frames matched an object, of those that saw it, and it is large enough."""
+def exists(memory: Memory, voxels: int, parameters: FinishParameters, frames: int) -> bool:
+    """Whether enough frames matched an object (at least `frames`), of those that saw it, and it is large enough."""
     if not parameters.existence:
         return True
     share = fixedpoint.millionths(parameters.min_share)
     return (
-        memory.matched >= parameters.min_frames
+        memory.matched >= frames
         and fixedpoint.MILLION * memory.matched >= share * memory.seen
         and voxels >= parameters.min_voxels
     )
@@ -49,7 +49,7 @@ class Life:
         events = self._regrouped(frame, evidence)
         for instance in sorted({evidence.instance_of[f] for f in touched} - self.confirmed.keys()):
             memory = memory_of(fragments[f] for f in evidence.members[instance])
-            if exists(memory, memory.voxels, self._parameters):
+            if exists(memory, memory.voxels, self._parameters, self._parameters.min_frames):
                 self.confirmed[instance] = frame
                 text = f"matched in {memory.matched} of {memory.seen} frames that saw it, {memory.voxels} voxels"
                 events.append(Event(frame, "confirmed", instance, (), text))
