@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Protocol
 
@@ -50,15 +50,43 @@ def shown_instance(voxel: Voxel, sums: Mapping[Voxel, Counter[int]], smoothing: 
     return instance if votes > counts[0] else 0
 
 
-def parts(voxels: Collection[Voxel]) -> Iterator[set[Voxel]]:
-    """26-connected parts, by flood fill."""
+def settled(shown: Mapping[Voxel, int], sums: Mapping[Voxel, Counter[int]], smoothing: int) -> dict[Voxel, int]:
+    """One round: a voxel where thing and background meet hears what its neighbours show, but no other thing."""
+    after = dict(shown)
+    for voxel, mine in shown.items():
+        others = [other for face in FACES if (other := beside(voxel, face)) in shown]
+        if all((shown[other] > 0) == (mine > 0) for other in others):
+            continue
+        counts = Counter({i: n * smoothing for i, n in sums[voxel].items()})
+        for other in others:
+            if 0 in (mine, shown[other]) or mine == shown[other]:
+                counts[shown[other]] += min(sums[other].total(), smoothing * sums[voxel].total())
+        votes, instance = strongest(counts)
+        after[voxel] = instance if votes > counts[0] else 0
+    return after
+
+
+def filled(shown: Mapping[Voxel, int], most: float) -> dict[Voxel, int]:
+    """Patches that show nothing, in one instance alone, show it."""
+    out = dict(shown)
+    for part in parts({voxel for voxel in shown if not shown[voxel]}, FACES):
+        around = {shown.get(beside(voxel, face), 0) for voxel in part for face in FACES} - {0}
+        for instance in around if len(around) == 1 else ():
+            size = sum(other == instance for other in shown.values())
+            if MILLION * len(part) <= round(most * MILLION) * size:
+                out.update((voxel, instance) for voxel in part)
+    return out
+
+
+def parts(voxels: Collection[Voxel], steps: Sequence[tuple[int, ...]] = AROUND) -> Iterator[set[Voxel]]:
+    """Connected parts (26-connected unless told otherwise), by flood fill."""
     left = set(voxels)
     while left:
         part, border = set(), {min(left)}
         while border:
             part |= border
             left -= border
-            border = {beside(voxel, step) for voxel in border for step in AROUND} & left
+            border = {beside(voxel, step) for voxel in border for step in steps} & left
         yield part
 
 
@@ -131,6 +159,8 @@ def finish(
     order = sorted({voxel for voxel, counts in votes.items() if counts} | set(bare))
     sums = {voxel: by_instance(votes.get(voxel, {}), instance_of) for voxel in order}
     shown = {voxel: shown_instance(voxel, sums, p.finish.smoothing) for voxel in order}
+    for _ in range(p.finish.rounds):
+        shown = settled(shown, sums, max(1, p.finish.smoothing))
     for voxel in order:
         if sums[voxel].total() < max(p.finish.min_votes, bare.get(voxel, 0)):
             shown[voxel] = 0
@@ -139,29 +169,33 @@ def finish(
     def share(voxel: Voxel) -> int:
         return sums[voxel][shown[voxel]] * ONE // max(1, sums[voxel].total())
 
-    ranks = {}
-    for instance in sorted(set(shown.values()) - {0}):
-        group = [fragments[f] for f in fragments if instance_of[f] == instance]
+    def group(instance: int) -> list[Piece]:
+        return [fragments[f] for f in fragments if instance_of[f] == instance]
+
+    def sure(instance: int, voxels: Collection[Voxel]) -> int:
+        return existence(vote_overlap(instance, voxels, sums), group(instance), fragments.values())
+
+    for instance in sorted(set(shown.values()) - {0}) if p.finish.existence else ():
         voxels = {voxel for voxel in order if shown[voxel] == instance}
-        kept = kept_voxels(voxels, group, p.finish) if p.finish.existence else voxels
-        if kept:
-            theta = mean_theta(kept, {voxel: share(voxel) for voxel in kept})
-            sure = existence(vote_overlap(instance, kept, sums), group, fragments.values())
-            ranks[instance] = theta
-            if p.finish.existence and p.finish.ranking == "matches":
-                ranks[instance] = theta * len(frames(group)[0]) // (len(frames(group)[0]) + 2)
-            elif p.finish.existence and p.finish.ranking == "existence":
-                ranks[instance] = sure
-            if p.finish.existence and sure < round(p.finish.min_confidence * ONE):
-                kept = set()
+        kept = kept_voxels(voxels, group(instance), p.finish)
+        if kept and sure(instance, kept) < round(p.finish.min_confidence * ONE):
+            kept = set()
         shown.update((voxel, 0) for voxel in voxels - kept)
+    shown = filled(shown, p.finish.holes)
     ids = sorted(set(shown.values()) - {0})
-    for instance in ids if p.finish.existence and p.finish.ranking == "overlap" else ():
-        group = [fragments[f] for f in fragments if instance_of[f] == instance]
-        score = relative(group, fragments.values())
-        ranks[instance] = overlap(instance, shown, sums, len(frames(group)[0]), score)
+    ranks = {}
+    for instance in ids:
+        voxels = {voxel for voxel in order if shown[voxel] == instance}
+        k = len(frames(group(instance))[0])
+        theta = mean_theta(voxels, {voxel: share(voxel) for voxel in voxels})
+        ranks[instance] = {
+            "share": theta,
+            "matches": theta * k // (k + 2),
+            "existence": sure(instance, voxels),
+            "overlap": overlap(instance, shown, sums, k, relative(group(instance), fragments.values())),
+        }[p.finish.ranking if p.finish.existence else "share"]
     used = sorted({f for voxel in order for f in votes[voxel] if f > 0})
-    groups = [[fragments[f] for f in fragments if instance_of[f] == i] for i in ids]
+    groups = [group(i) for i in ids]
     rows = [sorted(votes[voxel].items()) for voxel in order]
     return InstanceMap(
         voxel_index=np.array(order, np.int32).reshape(-1, 3),

@@ -12,7 +12,7 @@ import pytest
 from openvox.core.mapper_parameters import OPENVOX, PAPER, MapperParameters
 from openvox.core.types import InstanceMap
 from openvox.core.voxels import voxel_key
-from openvox.mapper import finish
+from openvox.mapper import smoothing
 from openvox.mapper.codebook import Fragment
 from openvox.mapper.finish import finished_map, unit
 from openvox.mapper.frameset import FrameSet
@@ -21,6 +21,8 @@ from openvox.mapper.life import Life
 Voxel = tuple[int, int, int]
 Votes = Mapping[Voxel, Mapping[int, int]]
 ALWAYS = {"min_frames": 0, "min_share": 0.0, "min_voxels": 0, "min_part": 0.0, "min_confidence": 0.0}
+ALONE = {"smoothing": 0, "rounds": 0, "holes": 0.0}
+"""Every voxel shows what its own votes say."""
 
 
 def fragment(f: int, *, matched: int = 0b1, seen: int = 0b1, score: float = 1.0) -> Fragment:
@@ -46,7 +48,7 @@ def finished(
 
 def openvox(**finish: Any) -> MapperParameters:
     """Preset openvox where everything exists and counts are not smoothed, but for what is given."""
-    return replace(OPENVOX, finish=replace(OPENVOX.finish, **{**ALWAYS, "smoothing": 0, **finish}))
+    return replace(OPENVOX, finish=replace(OPENVOX.finish, **{**ALWAYS, **ALONE, **finish}))
 
 
 def shown(result: InstanceMap) -> dict[Voxel, int]:
@@ -115,6 +117,72 @@ def test_neighbours_along_an_edge_do_not_count_and_no_row_is_made() -> None:
     assert shown(finished(votes, {1: 1}, openvox(smoothing=1))) == {(0, 0, 0): 1, (1, 1, 0): 0}
 
 
+# ---- rounds at the borders of things and background ------------------------------------------------------------------
+
+
+def test_a_round_hears_all_votes_of_a_neighbour_for_what_it_shows() -> None:
+    # middle: 3 x 10 + 15 + 15 for background against 30 + 30; then 3 x 10 against 30 + 30, of 45 votes of either side
+    votes = line({0: 15, 1: 30}, {0: 10}, {0: 15, 1: 30})
+    assert shown(finished(votes, {1: 1}, openvox(smoothing=3)))[1, 0, 0] == 0
+    assert shown(finished(votes, {1: 1}, openvox(smoothing=3, rounds=1)))[1, 0, 0] == 1
+
+
+def test_one_neighbour_however_sure_does_not_outweigh_a_voxel() -> None:
+    votes = {**line({1: 300}, {0: 10}), (1, 1, 0): {0: 1}}  # 300 against 31; then only 3 x 10 of them are heard
+    assert shown(finished(votes, {1: 1}, openvox(smoothing=3)))[1, 0, 0] == 1
+    assert shown(finished(votes, {1: 1}, openvox(smoothing=3, rounds=1)))[1, 0, 0] == 0
+
+
+def test_between_two_things_a_voxel_s_own_votes_decide() -> None:
+    votes = {**line({0: 4, 1: 5}, {2: 4}, {0: 4, 1: 5}), (1, 1, 0): {0: 1}}  # 9 + 9 for thing 1 are not heard
+    assert shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3, rounds=1)))[1, 0, 0] == 2
+
+
+def test_away_from_the_border_nothing_is_decided_again() -> None:
+    votes = line({1: 8}, {1: 1, 2: 2}, {1: 8})  # no voxel here shows background
+    assert shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3, rounds=1))) == {(x, 0, 0): 1 for x in range(3)}
+
+
+def test_a_second_round_hears_the_first() -> None:
+    votes = {**line({0: 15, 1: 30}, {0: 10}, {0: 10}), (1, 1, 0): {0: 15, 1: 30}, (2, 1, 0): {0: 15, 1: 30}}
+    results = [shown(finished(votes, {1: 1}, openvox(smoothing=3, rounds=n))) for n in range(3)]
+    # the last voxel has 30 + 10 against 30, then 30 against 10 + 30
+    assert [[result[x, 0, 0] for x in (1, 2)] for result in results] == [[0, 0], [1, 0], [1, 1]]
+
+
+# ---- holes -----------------------------------------------------------------------------------------------------------
+
+
+def plane(**others: Mapping[int, int]) -> Votes:
+    """5 x 5 voxels of thing 1; others: votes of x<column>y<row>."""
+    votes = {(x, y, 0): {1: 2} for x in range(5) for y in range(5)}
+    return {**votes, **{(int(name[1]), int(name[3]), 0): counts for name, counts in others.items()}}
+
+
+@pytest.mark.parametrize(("most", "expected"), [(0.05, 1), (0.041, 0), (0.0, 0)])  # one voxel in 24 is .0417
+def test_a_small_hole_in_a_thing_is_of_the_thing(most: float, expected: int) -> None:
+    result = finished(plane(x2y2={0: 5}), {1: 1}, openvox(holes=most))
+    assert shown(result)[2, 2, 0] == expected
+    assert result.vote_fragment.tolist().count(0) == 1  # no vote is altered
+    assert result.voxel_confidence[12] == (0 if expected else 1)
+
+
+def test_a_patch_beside_two_things_is_no_hole() -> None:
+    votes = plane(x2y2={0: 5}, x2y3={2: 5})
+    assert shown(finished(votes, {1: 1, 2: 2}, openvox(holes=1.0)))[2, 2, 0] == 0
+
+
+def test_a_patch_is_as_large_as_all_its_voxels_that_share_faces() -> None:
+    votes = plane(x1y1={0: 5}, x2y1={0: 5}, x3y2={0: 5})  # two voxels, and one beyond an edge of them
+    result = shown(finished(votes, {1: 1}, openvox(holes=1.5 / 22)))
+    assert (result[1, 1, 0], result[2, 1, 0], result[3, 2, 0]) == (0, 0, 1)
+
+
+def test_where_a_dropped_object_lay_in_another_is_a_hole() -> None:
+    votes = plane(x2y2={2: 5})
+    assert shown(finished(votes, {1: 1, 2: 2}, openvox(min_voxels=2, holes=0.05)))[2, 2, 0] == 1
+
+
 # ---- existence ------------------------------------------------------------------------------------------------------
 
 
@@ -123,7 +191,7 @@ def test_voxels_smoothed_a_few_at_a_time_show_the_same(monkeypatch: pytest.Monke
     whole = shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3)))
     assert len(set(whole.values())) == 2
     for few in (1, 3, 19, 20):
-        monkeypatch.setattr(finish, "CHUNK", few)
+        monkeypatch.setattr(smoothing, "CHUNK", few)
         assert shown(finished(votes, {1: 1, 2: 2}, openvox(smoothing=3))) == whole
 
 

@@ -159,5 +159,11 @@ def test_to_switch_off_what_is_off_is_no_error() -> None:
 
 def test_openvox_without_its_rules_is_paper() -> None:
     switches = ("masks.one_vote", "association.containment", "evolution.background", "finish.existence")
-    numbers = {"masks.min_pixels": 0, "evolution.near": 0.0, "finish.smoothing": 0}
+    numbers = {
+        "masks.min_pixels": 0,
+        "evolution.near": 0.0,
+        "finish.smoothing": 0,
+        "finish.rounds": 0,
+        "finish.holes": 0.0,
+    }
     assert updated(OPENVOX, {**dict.fromkeys(switches, False), **numbers}, source="test") == PAPER

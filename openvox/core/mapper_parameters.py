@@ -222,6 +222,13 @@ class FinishParameters:
         100,
         why="a voxel decides on weight x its own counts + those of its six neighbours; 0 = on its own alone",
     )
+    rounds: int = parameter(
+        2,
+        "rounds",
+        0,
+        100,
+        why="at borders of things and background voxels decide again so often, on own counts and what neighbours show",
+    )
     min_votes: int = parameter(0, "votes", 0, 1_000_000, why="a voxel with fewer votes shows nothing; authors' code: 4")
     existence: bool = parameter(True, "", why="objects that too few frames matched are dropped")
     min_frames: int = parameter(
@@ -249,6 +256,13 @@ class FinishParameters:
         1.0,
         needs="finish.existence",
         why="loose parts below this share of their object are dropped",
+    )
+    holes: float = parameter(
+        0.05,
+        "share",
+        0.0,
+        1.0,
+        why="a patch that shows nothing, with one object alone around it and at most so much of its voxels, is of it; 0 = no",
     )
     min_confidence: float = parameter(
         0.22, "confidence", 0.0, 1.0, needs="finish.existence", why="phantoms are judged as objects, not voxel by voxel"
@@ -281,7 +295,7 @@ PAPER = MapperParameters(
     association=replace(OPENVOX.association, containment=False),
     evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, near=0.0, cut=False),
     lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
-    finish=replace(OPENVOX.finish, smoothing=0, existence=False, brief=False),
+    finish=replace(OPENVOX.finish, smoothing=0, rounds=0, existence=False, brief=False, holes=0.0),
 )
 OFFICIAL = replace(
     PAPER,
