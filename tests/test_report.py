@@ -214,6 +214,15 @@ def test_a_report_shows_every_instance_with_a_picture_and_its_caption(made: Path
     assert all(summary.caption in text for summary in result.instances)
 
 
+def test_every_heading_can_be_reached_from_the_top(made: Path, tmp_path: Path) -> None:
+    report(made / "tiny.map.npz", made / "tiny.trace.mcap", tmp_path / "a.html")
+    text = (tmp_path / "a.html").read_text("utf-8")
+    headings = re.findall(r'<h2 id="(part-\d+)">(.*?)</h2>', text)
+    assert len(headings) > 4
+    assert "<h2>" not in text
+    assert re.findall(r'<a href="#(part-\d+)">(.*?)</a>', text) == headings
+
+
 def test_times_beside_the_trace_are_drawn_with_median_and_95_percent(made: Path, tmp_path: Path) -> None:
     shutil.copytree(made, tmp_path / "run")
     trace, page = tmp_path / "run" / "tiny.trace.mcap", tmp_path / "a.html"
@@ -517,7 +526,7 @@ def test_a_click_on_a_thing_chooses_its_row_and_a_click_beside_it_none(shown: Br
     shown.settle()
     shown.drag(middle(shown), middle(shown))
     assert shown.ask(CHOSEN) == "[[2]]"
-    corner = shown.ask("(r => [r.x + 8, r.y + r.height - 8])(document.querySelector('canvas').getBoundingClientRect())")
+    corner = shown.ask("(r => [r.x + 8, r.y + 8])(document.querySelector('canvas').getBoundingClientRect())")
     shown.drag(tuple(corner), tuple(corner))
     assert shown.ask(CHOSEN) is None
 
@@ -525,10 +534,10 @@ def test_a_click_on_a_thing_chooses_its_row_and_a_click_beside_it_none(shown: Br
 def test_the_link_of_a_decision_chooses_the_row_of_its_instance(browser: Browser, made: Path, tmp_path: Path) -> None:
     report(made / "tiny.map.npz", None, tmp_path / "a.html")
     text = (tmp_path / "a.html").read_text("utf-8")
-    link = '<a href="#instance-1">1</a>'  # this run has no decision to suspect
-    (tmp_path / "a.html").write_text(text.replace("<h2>From four sides</h2>", link), "utf-8")
+    link = '<a class="suspect" href="#instance-1">1</a></main>'  # this run has no decision to suspect
+    (tmp_path / "a.html").write_text(text.replace("</main>", link), "utf-8")
     browser.open(tmp_path / "a.html")
-    browser.ask("document.querySelector('a').click()")
+    browser.ask("document.querySelector('a.suspect').click()")
     browser.settle()
     assert browser.ask("document.querySelector('tr[aria-selected=true]').id") == "instance-1"
 
@@ -550,6 +559,7 @@ def test_without_webgl_the_page_says_so_and_the_rest_works(shown: Browser, tmp_p
     shown.call("Page.removeScriptToEvaluateOnNewDocument", identifier=script)
     assert shown.ask("document.getElementById('no-scene').hidden") is False
     assert "WebGL" in shown.ask("document.getElementById('no-scene').textContent")
+    assert shown.ask("getComputedStyle(document.getElementById('status')).display") == "none"  # nothing is to be turned
     shown.ask("document.querySelector('tr[data-select=\"[[3]]\"] button').click()")
     assert shown.ask(CHOSEN) == "[[3]]"
     assert shown.messages == []

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from openvox.apps.reporting.crops import Crop
-from openvox.apps.reporting.parts import Column, head, notes, number, provenance, scenes, searched, swatch
+from openvox.apps.reporting.parts import Column, head, notes, number, provenance, scenes, searched, swatch, with_contents
 from openvox.core.colors import category_colors, instance_color
 from openvox.core.types import InstanceMap, InstanceSummary
 from openvox.formats.images import encode_jpeg
@@ -70,7 +70,7 @@ def map_page(
         run,
         provenance(result, digest),
     ]
-    content = [head(title, lead, _facts(result)), tag("main", main), foot(digest)]
+    content = [head(title, lead, _facts(result)), with_contents(main), foot(digest)]
     shown = scene_of(result)
     by_category = [list(color) for color in category_colors(categories)]
     shown["palettes"].append({"name": "category", "colors": by_category})

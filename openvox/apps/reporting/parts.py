@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,9 +10,10 @@ from typing import Any
 from openvox.core.mapper_parameters import MapperParameters
 from openvox.core.parameters import describe
 from openvox.core.types import InstanceMap
-from openvox.view.page.document import Html, tag
+from openvox.view.page.document import Html, joined, tag
 
 Color = tuple[int, int, int]
+_HEADING = re.compile("<h2>(.*?)</h2>")  # texts are escaped: no caption can look like one
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,16 @@ def number(value: Any) -> str:
     if isinstance(value, int):
         return f"{value:,}".replace(",", " ")
     return f"{value:.3f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+
+
+def with_contents(main: Iterable[Any]) -> Html:
+    """A page's content after links to its headings, each of which gets an id."""
+    content = joined(main)
+    titles = _HEADING.findall(content)
+    numbers = iter(range(len(titles)))
+    content = Html(_HEADING.sub(lambda found: f'<h2 id="part-{next(numbers)}">{found[1]}</h2>', content))
+    links = [tag("a", Html(title), href=f"#part-{i}") for i, title in enumerate(titles)]
+    return tag("main", tag("nav", links, class_="contents", aria_label="Contents") if len(links) > 1 else None, content)
 
 
 def notes(texts: Iterable[str]) -> list[Html]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from openvox.apps.reporting.parts import Column, head, notes, number, pairs, searched
+from openvox.apps.reporting.parts import Column, head, notes, number, pairs, searched, with_contents
 from openvox.core.errors import InputError
 from openvox.view.page.document import Html, page, tag
 from openvox.view.page.plots import dots
@@ -62,7 +62,7 @@ def sweep_page(title: str, sweep: Mapping[str, Any]) -> str:
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(f"{title}: {FILE} is not as a sweep writes it ({error!r}); run the sweep again") from None
     foot = tag("footer", "Made by openvox. Everything on this page is in this one file.")
-    return page(f"{title} \u2013 openvox", [head(title, lead, facts), tag("main", main), foot], {"maps": []})
+    return page(f"{title} \u2013 openvox", [head(title, lead, facts), with_contents(main), foot], {"maps": []})
 
 
 def _words(parameters: Mapping[str, Any]) -> str:

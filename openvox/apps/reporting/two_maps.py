@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from openvox.apps.reporting.one_map import scene_of
-from openvox.apps.reporting.parts import Color, Column, head, notes, number, pairs, scenes, searched, swatch
+from openvox.apps.reporting.parts import Color, Column, head, notes, number, pairs, scenes, searched, swatch, with_contents
 from openvox.core.types import InstanceMap
 from openvox.view.labels import shortened
 from openvox.view.page.document import Html, page, tag
@@ -48,7 +48,7 @@ def maps_page(names: tuple[str, str], maps: tuple[InstanceMap, InstanceMap], fou
         _where(found),
         _parameters(found),
     ]
-    content = [head(title, lead, _facts(found, entries)), tag("main", notes(found["notes"]), main), _foot(found)]
+    content = [head(title, lead, _facts(found, entries)), with_contents([notes(found["notes"]), main]), _foot(found)]
     return page(f"{title} \u2013 openvox", content, {"azimuth": 0.9, "maps": scene})
 
 

@@ -97,7 +97,7 @@ def print_result(data: tables.Data) -> None:
             ]
             for one in ranked[:LISTED]
         ],
-        "means over the recordings" + (f"; the best {LISTED} of {len(ranked)}" if len(ranked) > LISTED else ""),
+        _title(len(ranked), bool(data["measure"])),
     )
     if data["best"] and data["best"]["ties"]:
         print(f"as good as set {data['best']['set']} (less than 0.001 behind): {_sets(data['best']['ties'])}")
@@ -112,6 +112,11 @@ def print_result(data: tables.Data) -> None:
     for path in data["outputs"].values():
         if path:
             print(f"wrote {path}")
+
+
+def _title(sets: int, scored: bool) -> str:
+    order = "the best first" if scored else "in no order: without --truth nothing says which set is better"
+    return f"means over the recordings, {order}" + (f"; {LISTED} of {sets}" if sets > LISTED else "")
 
 
 def _sets(numbers: list[int]) -> str:
