@@ -135,6 +135,13 @@ def test_masks_of_other_pixels_are_refused_and_leave_the_old_map(recording: Path
     assert not list(recording.parent.glob("*.partial"))
 
 
+@pytest.mark.parametrize("suffix", ["", ".map.npz", ".trace.mcap"])
+def test_a_map_named_as_what_to_write_gives_its_stem(recording: Path, suffix: str) -> None:
+    outputs = replayed(recording, out=str(recording.with_name(f"other{suffix}")))["outputs"]
+    assert outputs["map"] == str(recording.with_name("other.map.npz"))
+    assert outputs["trace"] == str(recording.with_name("other.trace.mcap"))
+
+
 def test_an_output_that_cannot_be_written_is_one_sentence(recording: Path) -> None:
     with pytest.raises(OutputError, match=r"nowhere/run\.trace\.mcap could not be written"):
         replayed(recording, out=str(recording.parent / "nowhere" / "run"))

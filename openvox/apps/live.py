@@ -20,7 +20,7 @@ from openvox.apps.living.shared_map import SharedMap, Snapshots
 from openvox.apps.loop import Observer, run
 from openvox.apps.memory import MemoryLimit
 from openvox.apps.query import answers
-from openvox.apps.replay import Counting, chosen_parameters, relative, warm_up
+from openvox.apps.replay import Counting, chosen_parameters, named_stem, relative, warm_up
 from openvox.apps.resume import chain_state
 from openvox.apps.timing import LATENCY, MAPPING, STAGES, Ran, Stopwatch, summary
 from openvox.core.digest import map_digest
@@ -141,7 +141,7 @@ def live(
         )
     for note in stream.notes:
         notice(note)
-    files = LiveFiles.of(Path(out) if out else stream.stem, rerun)
+    files = LiveFiles.of(named_stem(out) if out else stream.stem, rerun)
     files.check(stream.inputs)
     replaced = [str(path) for path in files.all if path.exists()]
     about = {"preset": preset_name, "engine": engine, "parameters": as_dict(parameters)}

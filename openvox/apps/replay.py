@@ -71,7 +71,7 @@ def replay(
     found = perception_info(_perception_of(recording, perception))
     if is_unfinished(recording):  # more may come while it is mapped
         end = min(source.last + 1, source.last + 1 if end is None else end)
-    stem = Path(out) if out else stem_of(recording)
+    stem = named_stem(out) if out else stem_of(recording)
     map_path, trace_path = Path(f"{stem}{MAP_SUFFIX}"), Path(f"{stem}{TRACE_SUFFIX}")
     outputs = [map_path, trace_path, times_path(trace_path), *([rerun] if rerun else [])]
     _check_outputs([recording, found.path, *([resume] if resume else [])], outputs)
@@ -218,6 +218,11 @@ class Counting:
 
     def close(self, result: InstanceMap) -> None:
         """Nothing is left to do."""
+
+
+def named_stem(out: str) -> Path:
+    """The STEM that was asked for, also where a map or trace of it is named instead."""
+    return Path(out.removesuffix(MAP_SUFFIX).removesuffix(TRACE_SUFFIX))
 
 
 def stem_of(recording: Path) -> Path:
