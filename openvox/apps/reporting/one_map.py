@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 
 from openvox.apps.reporting.crops import Crop
-from openvox.apps.reporting.parts import Column, head, notes, number, provenance, scenes, searched, swatch, with_contents
+from openvox.apps.reporting.parts import (
+    Column,
+    head,
+    notes,
+    number,
+    provenance,
+    scenes,
+    searched,
+    swatch,
+    with_contents,
+)
 from openvox.core.colors import category_colors, instance_color
 from openvox.core.types import InstanceMap, InstanceSummary
 from openvox.formats.images import encode_jpeg

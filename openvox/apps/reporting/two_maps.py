@@ -6,7 +6,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from openvox.apps.reporting.one_map import scene_of
-from openvox.apps.reporting.parts import Color, Column, head, notes, number, pairs, scenes, searched, swatch, with_contents
+from openvox.apps.reporting.parts import (
+    Color,
+    Column,
+    head,
+    notes,
+    number,
+    pairs,
+    scenes,
+    searched,
+    swatch,
+    with_contents,
+)
 from openvox.core.types import InstanceMap
 from openvox.view.labels import shortened
 from openvox.view.page.document import Html, page, tag
