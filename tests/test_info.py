@@ -11,6 +11,7 @@ from maps import small_map
 from worlds import CAMERA, tiny_frames
 
 from openvox.apps.info import info, kind_of, parameters
+from openvox.apps.view import as_rrd
 from openvox.cli.commands.info import print_file
 from openvox.core.digest import map_digest
 from openvox.core.errors import InputError
@@ -66,6 +67,15 @@ def test_a_map_is_known_by_its_first_bytes(tmp_path: Path) -> None:
     assert found["bounds"] == [pytest.approx([-0.04, 0, 0]), pytest.approx([0.16, 0.08, 0.08])]
     assert (found["preset"], found["digests"]["recording"], found["voxel_size"]) == ("openvox", "ab", 0.04)
     json.dumps(found, allow_nan=False)
+
+
+def test_a_file_of_rerun_is_known_by_its_first_bytes(tmp_path: Path) -> None:
+    write_map(tmp_path / "a.map.npz", small_map())
+    found = info(as_rrd(tmp_path / "a.map.npz", tmp_path / "a.rrd"))
+    assert (found["kind"], found["application"], found["timelines"]) == ("rrd", "openvox map", {})
+    assert len(found["recording_ids"]) == 1
+    assert found["entities"] >= len(found["largest"]) > 0
+    assert found["bytes"] >= sum(found["largest"].values())
 
 
 def test_what_is_none_of_ours_is_one_sentence(tmp_path: Path) -> None:

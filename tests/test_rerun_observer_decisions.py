@@ -122,7 +122,7 @@ def test_each_life_is_told_as_states(tmp_path: Path) -> None:
     end = finished([(0, 0, 0)], [1], captions={1: "white cup"})
     path = record(tmp_path / "run.rrd", story.steps, replace(end, events=dropped))
     assert states(path, "0001_white_cup") == [(0, "tentative"), (1, "confirmed")]
-    assert states(path, "0002") == [(0, "tentative"), (2, "merged"), (3, "split"), (4, "dropped")]
+    assert states(path, "0002_dropped") == [(0, "tentative"), (2, "merged"), (3, "split"), (4, "dropped")]
 
 
 def test_a_lane_is_named_by_id_and_caption_in_letters_that_a_path_shows_as_they_are() -> None:
@@ -154,7 +154,8 @@ def test_the_best_views_of_an_instance_lie_beside_its_voxels_with_its_votes(tmp_
         new=owned(box_of_voxels(0, 2), 1), instance_of={1: 1}, masks=(mask(1, "cup"),), decisions=(decision(0, 1),)
     )
     end = finished(box_of_voxels(0, 2), [1, 1], captions={1: "cup"})
-    (row,) = rows(record(tmp_path / "run.rrd", story.steps, end), "world/instances/0001", static=True)
+    found = rows(record(tmp_path / "run.rrd", story.steps, end), "world/instances/0001", static=True)
+    row = {name: value for one in found for name, value in one.items() if value is not None}
     assert row["votes"] == [f"cup ({end.instances[0].captions[0][1]:.4g})"]
     picture = cv2.imdecode(np.array(row["blob"][0], np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None

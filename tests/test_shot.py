@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes.util
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,9 @@ import typer
 from maps import small_map
 from worlds import tiny_frames
 
+from openvox.apps.info import info
 from openvox.apps.shot import shot
-from openvox.apps.view import as_rrd
+from openvox.apps.view import as_rrd, view
 from openvox.cli.commands.shot import parsed_size
 from openvox.core.errors import InputError, OutputError
 from openvox.formats.map_npz import write_map
@@ -76,6 +78,16 @@ def test_a_foreign_file_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
     with pytest.raises(InputError, match=r"a.txt is no recording, perception, map, trace or .rrd"):
         shot(tmp_path / "a.txt", tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("length", [4, 60, 2000])
+def test_a_cut_file_of_rerun_is_one_sentence_at_once(map_file: Path, tmp_path: Path, length: int) -> None:
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(as_rrd(map_file, tmp_path / "a.rrd").read_bytes()[:length])
+    for reading in (partial(shot, cut, tmp_path / "a.png"), partial(info, cut), partial(view, [cut], web=True)):
+        with pytest.raises(InputError, match=r"cut.rrd is cut off or damaged \(.+\); make it again with --rerun"):
+            reading()
+    assert not (tmp_path / "a.png").exists()
 
 
 def test_an_empty_window_is_no_picture() -> None:

@@ -9,14 +9,29 @@ from typing import Any
 from openvox.core.errors import InputError
 from openvox.core.types import Intrinsics
 
+RRD = b"RRF2"
+"""First bytes of a file of Rerun."""
 _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 
 
 def info(path: Path) -> dict[str, Any]:
-    """`kind` (recording, perception, map, trace), `digest`, `frames` and what the kind has. Raises InputError."""
+    """`kind` (recording, perception, map, trace, rrd), `digest`, `frames` and what the kind has. Raises InputError."""
+    if is_rrd(path):
+        from openvox.view.rrd_contents import rrd_info
+
+        return {"kind": "rrd", "path": str(path), **rrd_info(path)}
     kind = kind_of(path)
     found = {"recording": _recording, "perception": _perception, "map": _map, "trace": _trace}[kind](path)
     return {"kind": kind, "path": str(path), **found}
+
+
+def is_rrd(path: Path) -> bool:
+    """Whether a file begins as those of Rerun do. Raises InputError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(RRD)) == RRD
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
 
 
 def kind_of(path: Path) -> str:

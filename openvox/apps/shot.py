@@ -55,6 +55,9 @@ def _check_choice(path: Path, found: str, frame: int | None, view: str | None, r
     from openvox.view.screenshot import check_frame, chosen_view
 
     if found == "rrd":
+        from openvox.view.rrd_contents import check_readable
+
+        check_readable(path)
         return
     if view is not None:
         chosen_view(path.name, view, _views(found))

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from openvox.apps.info import kind_of
+from openvox.apps.info import is_rrd, kind_of
 from openvox.apps.joined import joined_frames
 from openvox.apps.origin import belonging, named_digest
 from openvox.apps.retrace import Pictures, steps_of
@@ -25,8 +25,6 @@ from openvox.formats.recording import recording_info
 from openvox.formats.trace import SUFFIX as TRACE_SUFFIX
 from openvox.formats.trace import TraceInfo, trace_info
 
-RRD = b"RRF2"
-"""How a file of Rerun begins."""
 Notice = Callable[[str], None]
 Progress = Callable[[int, int], None]
 
@@ -49,6 +47,7 @@ def view(
     recording: of the traces, where it is not where they name it.
     classes: names for the categories of maps. ready: told the URL of `web`. Returns `files` with
     their kinds, and `output`. Raises InputError, OutputError."""
+    from openvox.view.rrd_contents import check_readable
     from openvox.view.viewer import has_screen, open_window, serve_web
 
     kinds = [kind(path) for path in files]
@@ -64,6 +63,9 @@ def view(
         replaced = save.exists()
         as_rrd(files[0], save, recording, notice, classes, progress)
         return {**about, "output": str(save), "replaced": replaced}
+    for path, one in zip(files, kinds, strict=True):
+        if one == "rrd":
+            check_readable(path)
     if not web and not has_screen():
         open_window([])  # says so, before anything is drawn
     with tempfile.TemporaryDirectory(prefix="openvox-view-") as folder:
@@ -82,12 +84,8 @@ def view(
 
 def kind(path: Path) -> str:
     """recording, perception, map, trace or rrd. Raises InputError."""
-    try:
-        with path.open("rb") as file:
-            if file.read(len(RRD)) == RRD:
-                return "rrd"
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
+    if is_rrd(path):
+        return "rrd"
     try:
         return kind_of(path)
     except InputError as error:

@@ -36,12 +36,14 @@ class Lanes:
                 self._states.setdefault(instance, []).append((frame, state))
 
     def finish(self, captions: Mapping[int, str]) -> None:
-        """captions: of the finished map's instances; others have the one that most of their own masks had."""
+        """captions: of the finished map's instances; others have the one that most of their own masks had. A lane says
+        in its name that its instance was dropped: the state itself begins where the lanes end."""
         for instance, states in sorted(self._states.items()):
+            caption = captions.get(instance) or self._captions.first(instance)
             frames = [frame for frame, _ in states]
             stamps = np.array([frame.stamp_ns for frame in frames], "datetime64[ns]")
             rr.send_columns(
-                lane(instance, captions.get(instance) or self._captions.first(instance)),
+                lane(instance, f"dropped {caption}".strip() if states[-1][1] == "dropped" else caption),
                 indexes=[
                     rr.TimeColumn(entities.FRAME, sequence=[frame.index for frame in frames]),
                     rr.TimeColumn(entities.SENSOR_TIME, timestamp=stamps),

@@ -21,7 +21,6 @@ from openvox.view.labels import (
     UNASSIGNED,
     Captions,
     Label,
-    caption_votes,
     detected_labels,
     instance_labels,
     mask_image,
@@ -89,8 +88,7 @@ class Pictures:
         names = {instance: f"{instance}: {summaries[instance].caption}" for instance in strips}
         self._log_sheet(sheet(strips), names)
         for instance, strip in strips.items() if beside else ():
-            said = values(votes=["; ".join(caption_votes(summaries[instance].captions))])
-            self._log(entities.instance_path(instance), _jpeg(strip), said, static=True)
+            self._log(entities.instance_path(instance), _jpeg(strip), static=True)
         return tuple(strips) if beside else ()
 
     def _log_sheet(self, one: Sheet, names: Mapping[int, str]) -> None:

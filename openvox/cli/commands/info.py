@@ -20,7 +20,9 @@ EXAMPLES = (
 
 
 def info(
-    file: Annotated[Path | None, typer.Argument(metavar="FILE", help="A recording, perception, map or trace.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", help="A recording, perception, map, trace or .rrd.")
+    ] = None,
     parameters: Annotated[
         bool, typer.Option("--parameters", help="All parameters with unit, range, default and reason.")
     ] = False,
