@@ -26,6 +26,7 @@ from openvox.view.labels import (
     mask_image,
     present,
 )  # fmt: skip
+from openvox.view.lettering import WHITE, Note, place
 from openvox.view.live_map import LiveMap
 from openvox.view.render import render_rows, take_rows
 from openvox.view.rerun_values import Log, label_image, values
@@ -35,6 +36,8 @@ Images = Literal["none", "jpeg", "all"]
 QUALITY, VIEW_QUALITY = 75, 85
 REGION_STEP = 4
 """Every so many pixels across and down are asked in which voxel they lie."""
+NAME_SCALE = 0.8 / 640
+"""Of letters on a picture, by its width: about as large as the viewer's in the layout at 1600x900."""
 STEPS = 10
 """Classes of confidence in pictures."""
 
@@ -59,7 +62,7 @@ class Pictures:
         instance_of = {decision.mask: decision.instance for decision in step.decisions}
         labels = detected_labels(step.masks, instance_of)
         self._log(entities.MASKS, *label_image(numbers, labels))
-        self._log_names(step.masks, labels)
+        self._log_names(step.masks, labels, numbers.shape)
         if self._images == "all":
             self._log(entities.DEPTH, rr.DepthImage(frame.depth, meter=1000.0))
         self._log_regions(step, numbers, instance_of)
@@ -102,14 +105,26 @@ class Pictures:
         )
         self._log(entities.BEST_VIEW_NAMES, boxes, static=True)
 
-    def _log_names(self, masks: Sequence[Mask], labels: Mapping[int, Label]) -> None:
-        """Number, caption and instance in the middle of each mask: labels of boxes are broken to the box's width."""
-        x0, y0, x1, y1 = np.array([mask.box for mask in masks], np.float32).reshape(-1, 4).T
+    def _log_names(self, masks: Sequence[Mask], labels: Mapping[int, Label], shape: tuple[int, int]) -> None:
+        """Number, caption and instance at each mask, the larger masks first; where no place is free the number alone.
+
+        Points, as labels of boxes are broken to the box's width. shape: of the picture, (height, width)."""
+        notes = [
+            Note(labels[m].short, ((mask.box[0] + mask.box[2]) // 2, (mask.box[1] + mask.box[3]) // 2))
+            for m, mask in enumerate(masks)
+        ]
+        larger = sorted(range(len(masks)), key=lambda m: (-masks[m].area, m))
+        boxes = dict(place(shape, [notes[m] for m in larger], NAME_SCALE * shape[1]))
+        spots, texts = [], []
+        for m, note in enumerate(notes):
+            left, top, right, bottom = boxes.get(note, (*note.point, *note.point))
+            spots.append(((left + right) / 2, (top + bottom) / 2))
+            texts.append(note.text if note in boxes else str(m))
         names = rr.Points2D(
-            np.stack([(x0 + x1) / 2, (y0 + y1) / 2], 1),
-            labels=[label.short for label in labels.values()],
-            colors=[label.color for label in labels.values()],
-            radii=[-2.0],  # in points of the screen
+            np.array(spots, np.float32).reshape(-1, 2),
+            labels=texts,
+            colors=[WHITE],
+            radii=[-1.0],  # in points of the screen
             show_labels=True,
         )
         self._log(entities.MASK_NAMES, names)
