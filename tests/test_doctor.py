@@ -15,7 +15,7 @@ from worlds import CAMERA, encode_color, look_at, tiny_frames, write_scannet
 
 from openvox.apps.doctor import doctor, examined
 from openvox.apps.examining.finding import Code, Finding
-from openvox.apps.examining.frames import examine_frames, intrinsics
+from openvox.apps.examining.frames import examine_frames, full, intrinsics
 from openvox.apps.examining.motion import examine_motion
 from openvox.apps.examining.registration import examine_registration
 from openvox.apps.examining.sample import Sample, take_sample
@@ -157,6 +157,15 @@ def test_a_little_is_no_fault(good: list[Frame]) -> None:
         assert examine_frames(sampled(change(good))) == []
     for change in (turned("x", 1.0), late(0.004)):
         assert examine_motion(sampled(change(good)))[0] == []
+
+
+def test_depth_that_says_the_largest_number_is_told() -> None:
+    depth = np.full((1, 10, 10), 1500, np.uint16)
+    depth[0, 0, 0] = 65535
+    assert not list(full(depth))  # one pixel in a hundred may be chance
+    depth[0, 0, 1] = 65535
+    (found,) = full(depth)
+    assert (found.code, found.figure) == ("depth_missing", "0.020 of the pixels")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from worlds import CAMERA, CATEGORIES, encode_color, intrinsic_matrix, render, tiny_frames, write_png16, write_scannet
 
-from openvox.apps.ingest import IngestResult, ingest
+from openvox.apps.ingest import IngestResult, far, ingest
 from openvox.core.errors import InputError
 from openvox.core.types import Frame, Intrinsics, Pose
 from openvox.formats.recording import read_frames, recording_info
@@ -155,13 +155,21 @@ def test_bad_stamps_are_named_by_line(scene: Path, text: str, expected: str) -> 
     assert expected in refusal(scene)
 
 
+def test_a_camera_beyond_the_reach_of_voxels_is_told_with_the_origin_that_cures_it() -> None:
+    pose = np.broadcast_to(np.eye(4), (2, 4, 4)).copy()
+    pose[:, 1, 3] = 41_900.0, 41_950.0
+    (note,) = far(pose)  # voxels of 4 cm reach 2^20 x 0.04 = 41,943.04 m
+    assert note.endswith("replay would stop; ingest again with --origin 0,41900,0")
+    assert far(pose[:1]) == far(pose[:0]) == []
+
+
 def test_the_origin_is_subtracted_and_recorded(scene: Path, tmp_path: Path) -> None:
     matrix = tiny_frames(1)[0].world_from_depth.matrix()
     matrix[:3, 3] = (455200.25, 5411900.5, 101.0)
     np.savetxt(scene / "pose" / "000000.txt", matrix, fmt="%.17g")
     ingest(scene, tmp_path / "a.mcap", origin=(455200, 5411900, -1), end=1)
     assert next(read_frames(tmp_path / "a.mcap")).world_from_depth.translation == (0.25, 0.5, 102.0)
-    assert recording_info(tmp_path / "a.mcap").metadata["origin_m"] == "[455200, 5411900, -1]"
+    assert recording_info(tmp_path / "a.mcap").origin_m == (455200, 5411900, -1)
 
 
 @pytest.mark.parametrize("beside", [True, False])

@@ -116,6 +116,7 @@ def _recording(path: Path) -> dict[str, Any]:
         "source": found.source,
         "depth_unit": found.depth_unit,
         "dropped": dict(found.dropped),
+        "origin_m": list(found.origin_m),
         "has_color": found.has_color,
         "has_truth": found.has_truth,
         "categories": len(found.categories),

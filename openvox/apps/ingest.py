@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from openvox.apps.examining.finding import Finding
 from openvox.apps.examining.frames import examine_frames
 from openvox.apps.examining.sample import Taker
 from openvox.core.errors import InputError
+from openvox.core.mapper_parameters import OPENVOX
 from openvox.core.types import DepthImage
+from openvox.core.voxels import RANGE
 from openvox.formats.ahead import read_ahead
 from openvox.formats.mcap_io import MAGIC
 from openvox.formats.recording import RecordingWriter
@@ -84,9 +87,10 @@ def ingest(
                 taker.add(frame, look=some, depth=some and len(taker) < KEPT * LOOK_EVERY)
             if progress is not None:
                 progress(done, opened.total)
-        notes = (*opened.notes, *opened.late_notes)
+        sample = taker.done()
+        notes = (*opened.notes, *opened.late_notes, *(far(sample.pose) if sample else ()))
         writer.describe(notes=json.dumps(notes))
-    info, sample = writer.info(), taker.done()
+    info = writer.info()
     return IngestResult(
         output=str(out),
         replaced=replaced,
@@ -103,6 +107,18 @@ def ingest(
         findings=tuple(examine_frames(sample)) if sample else (),
         digest=info.digest,
     )
+
+
+def far(pose: NDArray[np.float64]) -> list[str]:
+    """A sentence if cameras are where the voxels' numbers end. pose: (n, 4, 4)."""
+    reach, away = RANGE * OPENVOX.map.voxel_size, float(np.abs(pose[:, :3, 3]).max(initial=0.0))
+    if away < reach:
+        return []
+    return [
+        f"the camera is {away / 1000:.0f} km from the origin along an axis, voxels of {OPENVOX.map.voxel_size:g} m "
+        f"reach {reach / 1000:.0f} km: replay would stop; ingest again with --origin "
+        + ",".join(f"{value:.0f}" for value in pose[0, :3, 3])
+    ]
 
 
 def _check_target(source: Path, out: Path, others: Sequence[Any]) -> None:

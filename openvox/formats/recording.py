@@ -66,6 +66,8 @@ class RecordingInfo:
     has_truth: bool
     seconds: float
     """From the first stamp to the last."""
+    origin_m: tuple[int, ...]
+    """What ingest subtracted from the source's positions."""
     metadata: Mapping[str, str]
     """The record `openvox.recording` as it is."""
 
@@ -200,6 +202,7 @@ def recording_info(path: Path) -> RecordingInfo:
             has_color=bool(json.loads(record["has_color"])),
             has_truth=bool(json.loads(record["has_truth"])),
             seconds=float(record["seconds"]),
+            origin_m=tuple(int(metres) for metres in json.loads(record.get("origin_m", "[0, 0, 0]"))),
             metadata=record,
         )
     except (KeyError, ValueError, TypeError, AttributeError) as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from openvox.apps.examining.finding import Finding
 from openvox.apps.examining.sample import GAP, Floats, Sample, usual_interval
@@ -20,6 +21,8 @@ CENTER, RATIO = 0.12, 1.2
 """Of the side: how far the principal point may be off the middle. Times that fx may differ from fy."""
 FIELD = (20.0, 130.0)
 """Degrees that a picture may be wide."""
+FULL, FULL_SHARE = np.iinfo(np.uint16).max, 0.01
+"""The largest depth, and pixels that may say it by chance."""
 LEAST_M, MOST_M = 0.06, 30.0
 """Metres: the median of depth that RGB-D sensors give indoors and out."""
 
@@ -31,7 +34,7 @@ def examine_frames(sample: Sample) -> list[Finding]:
         *dropped_stamps(sample.dropped),
         *black(sample.bright, sample.contrast),
         *missing(sample.valid),
-        *unit(sample),
+        *(list(unit(sample)) or full(sample.depth)),
         *intrinsics(sample.rig),
     ]
 
@@ -121,6 +124,20 @@ def missing(valid: Floats) -> Iterator[Finding]:
         )
 
 
+def full(depth: NDArray[np.uint16]) -> Iterator[Finding]:
+    """Depth that says the largest number there is."""
+    share = float((depth == FULL).mean()) if depth.size else 0.0
+    if share > FULL_SHARE:
+        yield Finding(
+            "depth_missing",
+            f"{share:.0%} of the depth pixels say {FULL}, the largest number that fits.",
+            f"{share:.3f} of the pixels",
+            "a mark for nothing measured, or distances that do not fit into 16 bits",
+            "nothing, if it is a mark: replay ignores what is beyond map.max_depth; else read the source again with "
+            "another unit",
+        )
+
+
 def unit(sample: Sample) -> Iterator[Finding]:
     """Depth so small or large that it can only be the unit."""
     measured = sample.depth[:: max(1, len(sample) // 40)]
@@ -128,7 +145,7 @@ def unit(sample: Sample) -> Iterator[Finding]:
     if not len(measured):
         return
     middle = float(np.median(measured)) / 1000.0
-    full = float((measured == np.iinfo(np.uint16).max).mean())
+    full = float((measured == FULL).mean())
     if middle < LEAST_M or middle > MOST_M or full > 0.2:
         small = middle < LEAST_M
         yield Finding(
