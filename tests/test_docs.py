@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,8 @@ def readme_commands() -> list[list[str]]:
 
 def test_the_commands_of_the_readme_run_one_after_another(tmp_path: Path) -> None:
     write_scannet(tmp_path / "scans" / "living", list(read_frames(ROOT / "recordings" / "living_demo.mcap", end=5)))
+    for truth in (ROOT / "recordings" / "living_demo_truth").iterdir():
+        shutil.copy(truth, tmp_path / "scans" / "living")
     commands = readme_commands()
     whole_way = ["ingest", "perceive", "replay", "query", "evaluate"]
     assert [words[1] for words in commands] == [*whole_way, "explain", "explain", "replay", "compare", "report"]
