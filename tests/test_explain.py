@@ -33,7 +33,7 @@ TINY = replace(
     OPENVOX,
     map=replace(OPENVOX.map, voxel_size=0.08),
     masks=replace(OPENVOX.masks, min_pixels=1),
-    finish=replace(OPENVOX.finish, smoothing=0, min_voxels=1, min_part=0.0, min_confidence=0.0),
+    finish=replace(OPENVOX.finish, smoothing=0, rounds=0, holes=0.0, min_voxels=1, min_part=0.0, min_confidence=0.0),
 )
 WRONG = 3
 """The frame in which one mask lies on the floor, reaches over box 1, and has another name."""

@@ -112,7 +112,14 @@ def test_openvox_without_its_rules_is_paper(world: World) -> None:
     switches = ("masks.one_vote", "association.containment", "evolution.background", "finish.existence")
     off = updated(
         OPENVOX,
-        {**dict.fromkeys(switches, False), "masks.min_pixels": 0, "evolution.near": 0.0, "finish.smoothing": 0},
+        {
+            **dict.fromkeys(switches, False),
+            "masks.min_pixels": 0,
+            "evolution.near": 0.0,
+            "finish.smoothing": 0,
+            "finish.rounds": 0,
+            "finish.holes": 0.0,
+        },
         source="test",
     )
     size = world.parameters.map

@@ -141,6 +141,11 @@ def test_frames_that_the_map_has_already_are_not_mapped_twice(tmp_path: Path) ->
     replayed(recording, tmp_path / "half", end=4)
     with pytest.raises(InputError, match=r"half\.map\.npz has this recording's frames up to 3 already"):
         replayed(recording, tmp_path / "rest", resume=tmp_path / "half.map.npz", start=2)
+    said: list[str] = []
+    replayed(recording, tmp_path / "rest", resume=tmp_path / "half.map.npz", start=5, notice=said.append)
+    assert "frames 4 to 4 are left out: the map will not be that of a run without a break" in said
+    with pytest.raises(InputError, match=r"rest\.map\.npz has mapped .*a\.mcap to its last frame, 5; there is nothing"):
+        replayed(recording, tmp_path / "more", resume=tmp_path / "rest.map.npz")
 
 
 @pytest.mark.parametrize(

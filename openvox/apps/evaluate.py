@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from openvox.apps.info import check_kind
 from openvox.apps.ranking import Encoder
 from openvox.apps.scoring.calibration import expected_calibration_error
-from openvox.apps.scoring.instances import ELSEWHERE, FAR, InstanceScore, Overlaps, score_instances
+from openvox.apps.scoring.instances import ELSEWHERE, FAR, MIN_POINTS, InstanceScore, Overlaps, score_instances
 from openvox.apps.scoring.labels import labels_of_rows, rows_at_points
 from openvox.apps.scoring.recording_truth import recording_truth
 from openvox.apps.scoring.rendered import perception_of, score_rendered
@@ -62,6 +62,7 @@ def evaluate(
         **_words(known, labels, result, encoder, names),
         "notes": [
             *([ELSEWHERE] if scores.missed_share > FAR else []),
+            *([FEWER] if scores.predicted < len(result.instances) else []),
             *([f"no detected_iou: {no_perception}"] if rendered is not None and no_perception else []),
             *([f"no semantics and retrieval: {no_encoder}"] if no_encoder else []),
             *([] if truth.is_dir() else [NOISY_TRUTH]),
@@ -69,6 +70,9 @@ def evaluate(
     }
 
 
+FEWER = (
+    f"predicted counts the instances that hold at least {MIN_POINTS} true points; the map may have smaller ones, too"
+)
 NOISY_TRUTH = (
     "points made from a recording carry its sensor's noise and score lower; compare only figures of one kind of truth"
 )

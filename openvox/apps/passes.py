@@ -60,5 +60,6 @@ def check_passes(passes: int, resumed: bool) -> None:
         raise InputError(f"--passes is {passes}; a recording is mapped once at least")
     if passes > 1 and resumed:
         raise InputError(
-            "--passes maps all frames again, but those of the map to resume are not at hand; leave out one of the two"
+            "--passes and --resume do not go together: a second pass maps all frames again, a resumed run only the "
+            "rest; leave out one of the two"
         )

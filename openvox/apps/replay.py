@@ -76,7 +76,7 @@ def replay(
     outputs = [map_path, trace_path, times_path(trace_path), *([rerun] if rerun else [])]
     _check_outputs([recording, found.path, *([resume] if resume else [])], outputs)
     earlier = beginning(resume, preset_name, parameters, found, source)
-    start = earlier.first_frame(start, stride)
+    start = earlier.first_frame(start, stride, source, notice)
     replaced = [str(path) for path in outputs if path.exists()]
     warm_up(parameters, engine, notice)
     begin = time.perf_counter()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,13 +44,24 @@ class Beginning:
         names = ("recording", "frames", "digests")
         return {"resumed": [*meta.get("resumed", []), {name: meta.get(name) for name in names}]}
 
-    def first_frame(self, start: int | None, stride: int) -> int | None:
-        """Where to begin: in the same recording one stride behind the last frame. Raises InputError."""
+    def first_frame(
+        self, start: int | None, stride: int, source: RecordingInfo, notice: Callable[[str], None]
+    ) -> int | None:
+        """Where to begin: in the same recording one stride behind the last frame. notice: told which frames are left
+        out. Raises InputError."""
         if self.last is None:
             return start
         if start is not None and start <= self.last:
             raise InputError(
                 f"{self.path} has this recording's frames up to {self.last} already; leave --start out to go on there"
+            )
+        if self.last >= source.last:
+            raise InputError(
+                f"{self.path} has mapped {source.path} to its last frame, {self.last}; there is nothing to go on with"
+            )
+        if start is not None and start > self.last + stride:
+            notice(
+                f"frames {self.last + 1} to {start - 1} are left out: the map will not be that of a run without a break"
             )
         return self.last + stride if start is None else start
 

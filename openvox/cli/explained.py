@@ -39,7 +39,9 @@ def _candidates(decision: tables.Data) -> str:
 def print_suspicious(data: tables.Data, trace: Path) -> None:
     """The list with a reason a row, and what to type for the first one."""
     if not data["decisions"]:
-        print("nothing is suspicious: all voxels show what their masks joined, or all captions agree")
+        print(
+            "nothing is suspicious: no mask was mapped, all voxels show what their masks joined, or all captions agree"
+        )
         return
     tables.print_table(
         ["frame", "mask", "instance", "score", "reason"],
