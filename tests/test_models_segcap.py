@@ -177,7 +177,10 @@ def test_encoder_and_decoder_the_wrong_way_round_are_told(tmp_path):
     ("options", "sentence"),
     [
         ({"decoder": "d.onnx"}, r"my.toml: segcap.encoder is missing; expected the path of a file"),
-        ({"encoder": "none.onnx"}, r"my.toml: segcap.encoder is 'none.onnx', but .*none.onnx is not a file; paths count"),
+        (
+            {"encoder": "none.onnx"},
+            r"my.toml: segcap.encoder is 'none.onnx', but .*none.onnx is not a file; paths count",
+        ),
     ],
 )
 def test_a_file_that_is_not_there_is_a_sentence(tmp_path, options, sentence):
