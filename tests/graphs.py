@@ -130,17 +130,80 @@ def looking_detector(path: Path, words: int, **more: Any) -> Path:
     """Ultralytics' export: `output0` [1,4+c,1], centre and size of what is red, its first class surely."""
     nodes = [
         *seen(),
+        *_centred(),
+        constant("classes", [[[0.9, *[0.0] * (words - 1)]]]),
+        op("Concat", "centred classes", "row", axis=2),
+        op("Transpose", "row", "output0", perm=[0, 2, 1]),
+    ]
+    return _model(path, [_value(*PICTURE)], [_value("output0", [1, 4 + words, 1])], nodes, **more)
+
+
+REAL_SIDE, REAL_WORDS = 640, 80
+REAL_DETECTORS: Mapping[str, Mapping[str, tuple[int, ...]]] = {
+    "yolo-world": {"scores": (1, 8400, REAL_WORDS), "boxes": (1, 8400, 4)},
+    "yolo-world, suppressed": {"num_dets": (1, 1), "boxes": (1, 100, 4), "scores": (1, 100), "labels": (1, 100)},
+    "yolo-world, no batch": {"num_dets": (1,), "boxes": (100, 4), "scores": (100,), "labels": (100,)},
+    "ultralytics": {"output0": (1, 4 + REAL_WORDS, 8400)},
+    "ultralytics, suppressed": {"output0": (1, 300, 6)},
+    "yolov5": {"output0": (1, 25200, 5 + REAL_WORDS)},
+}
+"""Outputs of a detector of 640x640 pixels and 80 words, as each exporter writes them."""
+
+
+def real_detector(path: Path, family: str, word: int = 41, score: float = 0.75) -> Path:
+    """Zeros, but for one box around what is red: the first where suppression has sorted them, else in the middle."""
+    shapes = REAL_DETECTORS[family]
+    single = shapes.get("output0", (0,))
+    if "boxes" in shapes:
+        named = "labels" in shapes
+        row = {
+            "boxes": ["corners"],
+            "scores": [np.full((1, 1, 1), score) if named else score * np.eye(REAL_WORDS)[None, word : word + 1]],
+            "labels": [np.full((1, 1, 1), word)],
+            "num_dets": [np.ones((1, 1, 1))],
+        }
+    elif single[-1] == 6:
+        row = {"output0": ["corners", np.array([[[score, word]]])]}
+    else:
+        surely = [1.0] if family == "yolov5" else []
+        row = {"output0": ["centred", np.array([[[*surely, *score * np.eye(REAL_WORDS)[word]]]])]}
+    nodes = [*seen(), *_centred()]
+    for name, shape in shapes.items():
+        parts = []
+        for i, part in enumerate(row[name]):
+            parts.append(part if isinstance(part, str) else f"{name}_{i}")
+            nodes += [] if isinstance(part, str) else [constant(f"{name}_{i}", part)]
+        nodes.append(op("Concat", " ".join(parts), f"{name}_row", axis=2))
+        turned = family == "ultralytics"
+        rows = shape[2] if turned else shape[0 if len(shape) == 1 or shape[0] > 1 else 1]
+        before = 0 if "num_dets" in shapes or single[-1] == 6 else rows // 2
+        nodes += [
+            constant(f"{name}_pads", [0, before, 0, 0, rows - 1 - before, 0], np.int64),
+            op("Pad", f"{name}_row {name}_pads", f"{name}_rows"),
+            constant(f"{name}_shape", shape, np.int64),
+            *([op("Transpose", f"{name}_rows", f"{name}_turned", perm=[0, 2, 1])] if turned else []),
+            op("Reshape", f"{name}_{'turned' if turned else 'rows'} {name}_shape", f"{name}_floats"),
+            op("Cast", f"{name}_floats", name, to=_kind(name)),
+        ]
+    outputs = [_value(name, shape, _kind(name)) for name, shape in shapes.items()]
+    return _model(path, [_value("images", [1, 3, REAL_SIDE, REAL_SIDE])], outputs, nodes)
+
+
+def _kind(name: str) -> int:
+    return int(TensorProto.INT32 if name in ("labels", "num_dets") else TensorProto.FLOAT)
+
+
+def _centred() -> Nodes:
+    """`centred` [1,1,4] of `corners`: middle and size."""
+    return [
         constant("c4", [4], np.int64),
         op("Slice", "corners zero c2 c2", "low"),
         op("Slice", "corners c2 c4 c2", "high"),
         op("Sub", "high low", "size"),
         op("Mul", "size half", "reach"),
         op("Add", "low reach", "middle"),
-        constant("classes", [[[0.9, *[0.0] * (words - 1)]]]),
-        op("Concat", "middle size classes", "row", axis=2),
-        op("Transpose", "row", "output0", perm=[0, 2, 1]),
+        op("Concat", "middle size", "centred", axis=2),
     ]
-    return _model(path, [_value(*PICTURE)], [_value("output0", [1, 4 + words, 1])], nodes, **more)
 
 
 def image_encoder(path: Path, kind: str = "sam", side: int = SIDE) -> Path:
@@ -162,6 +225,36 @@ def image_encoder(path: Path, kind: str = "sam", side: int = SIDE) -> Path:
             nodes.append(op("Identity", name, more))
             outputs.append(_value(more, shape))
     return _model(path, [_value(name, shape)], outputs, nodes)
+
+
+EMBEDDING = [1, 256, 64, 64]
+HIGH = {"high_res_feats_0": [1, 32, 256, 256], "high_res_feats_1": [1, 64, 128, 128]}
+
+
+def real_image_encoder(path: Path, kind: str) -> Path:
+    """Of the sizes that they really have: a picture of 1024 pixels, or any, to 256 channels of 64 x 64, mostly zeros."""
+    name, shape = {
+        "raw": ("input_image", ["h", "w", 3]),
+        "efficient": ("batched_images", ["b", 3, "h", "w"]),
+    }.get(kind, ("input_image" if kind in ("sam", "many") else "image", [1, 3, 1024, 1024]))
+    main = {"image_embed" if kind == "sam2" else "image_embeddings": EMBEDDING}
+    outputs = {**main, **(HIGH if kind == "sam2" else {})}
+    nodes = [op("Identity", name, "picture")]
+    if kind == "raw":
+        nodes = [
+            op("Transpose", name, "channels", perm=[2, 0, 1]),
+            constant("at0", [0], np.int64),
+            op("Unsqueeze", "channels at0", "picture"),
+        ]
+    for output, (_, channels, height, width) in outputs.items():
+        nodes += [
+            constant(f"{output}_size", [1, 3, height, width], np.int64),
+            constant(f"{output}_pads", [0, 0, 0, 0, 0, channels - 3, 0, 0], np.int64),
+            op("Resize", f"picture   {output}_size".replace("   ", " none none "), f"{output}_small", mode="nearest"),
+            op("Pad", f"{output}_small {output}_pads", output),
+        ]
+    nodes.insert(0, constant("none", []))
+    return _model(path, [_value(name, shape)], [_value(*output) for output in outputs.items()], nodes)
 
 
 def _inside(height: str, width: str) -> Nodes:
@@ -236,8 +329,8 @@ def _sizes(kind: int) -> Nodes:
     ]
 
 
-def sam_decoder(path: Path, many: bool = False, side: int = SIDE, extra: str = "") -> Path:
-    """SAM's and MobileSAM's: masks [k,2,h,w], of which the second is the better and holds the box's pixels."""
+def sam_decoder(path: Path, many: bool = False, side: int = SIDE, extra: str = "", masks: int = 2) -> Path:
+    """SAM's and MobileSAM's: masks [k,2,h,w], of which the last is the best and holds the box's pixels."""
     k = "k" if many else 1
     nodes = [
         *_sizes(TensorProto.FLOAT),
@@ -248,10 +341,10 @@ def sam_decoder(path: Path, many: bool = False, side: int = SIDE, extra: str = "
         constant("at1", [1], np.int64),
         op("Unsqueeze", "logits at1", "right_1"),
         op("Unsqueeze", "wrong at1", "wrong_1"),
-        op("Concat", "wrong_1 right_1", "masks", axis=1),
+        op("Concat", "wrong_1 " * (masks - 1) + "right_1", "masks", axis=1),
         op("ReduceMax", "point_labels", "label", axes=[1], keepdims=1),
         op("Neg", "label", "low_label"),
-        op("Concat", "low_label label", "iou_predictions", axis=1),
+        op("Concat", "low_label " * (masks - 1) + "label", "iou_predictions", axis=1),
     ]
     inputs = [
         _value("image_embeddings", [1, "c", "eh", "ew"]),
@@ -262,11 +355,11 @@ def sam_decoder(path: Path, many: bool = False, side: int = SIDE, extra: str = "
         _value("orig_im_size", [2]),
         *([_value(extra, [1])] if extra else []),
     ]
-    outputs = [_value("masks", [k, 2, "h_out", "w_out"]), _value("iou_predictions", [k, 2])]
+    outputs = [_value("masks", [k, masks, "h_out", "w_out"]), _value("iou_predictions", [k, masks])]
     return _model(path, inputs, outputs, nodes)
 
 
-def efficient_decoder(path: Path) -> Path:
+def efficient_decoder(path: Path, points: Any = "n", channels: int = 3) -> Path:
     """EfficientSAM's: points in the picture's own pixels, output_masks [1,q,1,h,w]."""
     nodes = [
         *_sizes(TensorProto.INT64),
@@ -278,21 +371,22 @@ def efficient_decoder(path: Path) -> Path:
         op("ReduceMax", "batched_point_labels", "iou_predictions", axes=[2], keepdims=1),
     ]
     inputs = [
-        _value("image_embeddings", ["b", 3, "eh", "ew"]),
-        _value("batched_point_coords", ["b", "q", "n", 2]),
-        _value("batched_point_labels", ["b", "q", "n"]),
+        _value("image_embeddings", ["b", channels, "eh", "ew"]),
+        _value("batched_point_coords", ["b", "q", points, 2]),
+        _value("batched_point_labels", ["b", "q", points]),
         _value("orig_im_size", [2], TensorProto.INT64),
     ]
     outputs = [_value("output_masks", [1, "q", 1, "mh", "mw"]), _value("iou_predictions", [1, "q", 1])]
     return _model(path, inputs, outputs, nodes)
 
 
-def small_decoder(path: Path, kind: str, side: int = SIDE) -> Path:
-    """SAM 2's or EdgeSAM's: masks in the encoder's square, padding or stretching included."""
-    k, sides = ("k" if kind == "sam2" else 1), [constant("side_i", side, np.int64)]
+def small_decoder(path: Path, kind: str, side: int = SIDE, shrink: int = 1) -> Path:
+    """SAM 2's or EdgeSAM's: masks in the encoder's square, padding or stretching included, perhaps smaller."""
+    k, side = ("k" if kind == "sam2" else 1), side // shrink
     nodes = [
-        *sides,
-        op("Identity", "point_coords", "points"),
+        constant("side_i", side, np.int64),
+        constant("shrink", 1 / shrink),
+        op("Mul", "point_coords shrink", "points"),
         *_inside("side_i", "side_i"),
         constant("at1", [1], np.int64),
         op("Unsqueeze", "logits at1", "masks"),
@@ -300,7 +394,7 @@ def small_decoder(path: Path, kind: str, side: int = SIDE) -> Path:
     ]
     names = ["image_embed", "high_res_feats_0", "high_res_feats_1"] if kind == "sam2" else ["image_embeddings"]
     inputs = [
-        *(_value(name, [1, 3, side, side]) for name in names),
+        *(_value(name, [1, "c", "eh", "ew"] if shrink == 1 else HIGH.get(name, EMBEDDING)) for name in names),
         _value("point_coords", [k, "n", 2]),
         _value("point_labels", [k, "n"]),
     ]

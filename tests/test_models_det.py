@@ -203,6 +203,26 @@ def test_equal_boxes_come_in_one_order_whatever_order_the_model_has(tmp_path):
     assert [row[0] for row in first] == [8, 38, 18]
 
 
+# Sizes as they really are: 640 x 640 pixels, 8400 boxes, 80 words
+
+
+@pytest.mark.parametrize("family", graphs.REAL_DETECTORS)
+@pytest.mark.parametrize(
+    ("height", "width", "box"),
+    [
+        (480, 640, (17, 33, 250, 401)),  # scale 1, bars of 80 rows
+        (640, 480, (17, 33, 250, 401)),
+        (960, 1280, (16, 32, 250, 400)),  # half as large
+        (320, 320, (0, 7, 320, 300)),  # twice as large
+    ],
+)
+def test_every_family_at_its_real_size_finds_the_box_where_it_is(tmp_path, family, height, width, box):
+    graphs.real_detector(tmp_path / "d.onnx", family)
+    words = [f"word {i}" for i in range(graphs.REAL_WORDS)]
+    (found,) = yolo(tmp_path, "\n".join(words))(frame_of(picture(height, width, box)))
+    assert (found.corners, found.score, found.label) == (box, 0.75, "word 41")
+
+
 # Words
 
 

@@ -72,6 +72,52 @@ def test_small_masks_of_the_square_are_brought_back_without_its_padding(tmp_path
     assert mask.area == 16 * 12
 
 
+# Sizes as they really are: a square of 1024 pixels, 256 x 64 x 64 embeddings, small masks of 256
+
+
+REAL_DECODERS: dict[str, Any] = {
+    "sam": lambda path: graphs.sam_decoder(path, side=1024, masks=4),
+    "many": lambda path: graphs.sam_decoder(path, many=True, side=1024),
+    "raw": lambda path: graphs.sam_decoder(path, side=1024, masks=4),
+    "efficient": lambda path: graphs.efficient_decoder(path, channels=256),
+    "sam2": lambda path: graphs.small_decoder(path, "sam2", 1024, shrink=4),
+    "edge": lambda path: graphs.small_decoder(path, "edge", 1024, shrink=4),
+}
+
+
+def real_sam(folder: Path, kind: str) -> Sam:
+    encoder = graphs.real_image_encoder(folder / "e.onnx", kind)
+    REAL_DECODERS[kind](folder / "d.onnx")
+    shapes = {name: shape for name, (_, shape) in Model(encoder).outputs.items()}
+    assert shapes["image_embed" if kind == "sam2" else "image_embeddings"] == [1, 256, 64, 64]
+    return Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(folder))
+
+
+@pytest.mark.parametrize("kind", REAL_DECODERS)
+@pytest.mark.parametrize(("height", "width"), [(480, 640), (640, 480), (720, 1280)])
+def test_every_family_at_its_real_size_gives_the_box_as_mask(tmp_path, kind, height, width):
+    # At all these sizes its edges are edges of pixels of 256 in 1024, stretched or not.
+    box = Box((120, 45, 300, 405), 0.5, "cup")
+    (mask,) = real_sam(tmp_path, kind)(frame_of(two_things(height, width)), (box,))
+    assert mask.box == box.corners
+    bitmap = mask.crop()
+    if kind in ("sam2", "edge"):  # enlarged linearly, the box loses its corners
+        for corner in (bitmap[:3, :3], bitmap[:3, -3:], bitmap[-3:, :3], bitmap[-3:, -3:]):
+            corner[:] = True
+    assert bitmap.all()
+
+
+def test_an_export_for_single_points_cannot_take_boxes_and_is_told_what_to_export(tmp_path):
+    graphs.image_encoder(tmp_path / "e.onnx", "efficient")
+    graphs.efficient_decoder(tmp_path / "d.onnx", points=1)
+    with pytest.raises(InputError) as raised:
+        Sam(SamOptions(encoder="e.onnx", decoder="d.onnx"), setting(tmp_path)).prepare()
+    assert "batched_point_coords float[?,?,1,2]" in str(raised.value)
+    assert "expected two points a prompt, the corners of a box, or their number left open in batched" in str(
+        raised.value
+    )
+
+
 def test_captions_are_colour_and_word_and_scores_are_the_detectors(tmp_path):
     masks = sam(tmp_path)(frame_of(two_things(32, 40)), BOXES)
     assert [mask.caption for mask in masks] == ["a red cup", "a white chair", "a white and red object"]
