@@ -232,7 +232,7 @@ HIGH = {"high_res_feats_0": [1, 32, 256, 256], "high_res_feats_1": [1, 64, 128, 
 
 
 def real_image_encoder(path: Path, kind: str) -> Path:
-    """Of the sizes that they really have: a picture of 1024 pixels, or any, to 256 channels of 64 x 64, mostly zeros."""
+    """Of the sizes they really have: a picture of 1024 pixels, or any, to 256 channels of 64 x 64, mostly zeros."""
     name, shape = {
         "raw": ("input_image", ["h", "w", 3]),
         "efficient": ("batched_images", ["b", 3, "h", "w"]),
