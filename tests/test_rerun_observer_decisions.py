@@ -165,8 +165,7 @@ def test_the_best_views_of_an_instance_lie_beside_its_voxels_with_its_votes(tmp_
         new=owned(box_of_voxels(0, 2), 1), instance_of={1: 1}, masks=(mask(1, "cup"),), decisions=(decision(0, 1),)
     )
     end = finished(box_of_voxels(0, 2), [1, 1], captions={1: "cup"})
-    found = rows(record(tmp_path / "run.rrd", story.steps, end), "world/instances/0001", static=True)
-    row = {name: value for one in found for name, value in one.items() if value is not None}
+    (row,) = rows(record(tmp_path / "run.rrd", story.steps, end), "world/instances/0001", static=True)
     assert row["votes"] == [f"cup ({end.instances[0].captions[0][1]:.4g})"]
     picture = cv2.imdecode(np.array(row["blob"][0], np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None

@@ -22,7 +22,7 @@ from openvox.formats.atomic import partial_file
 from openvox.view import decision_table, entities, viewer
 from openvox.view.blueprint import blueprint, opening, overview
 from openvox.view.decision_graph import decision_graph
-from openvox.view.labels import Captions, caption_votes
+from openvox.view.labels import Captions
 from openvox.view.live_map import LiveMap
 from openvox.view.lives import Lives, dropped
 from openvox.view.rerun_instances import Instances
@@ -232,9 +232,6 @@ class RerunObserver:
         self._lanes.add(frame, dropped(result.events))
         self._lanes.finish({summary.id: summary.caption for summary in result.instances})
         self._log_events(result.events)
-        for summary in result.instances if self._partial is not None else ():
-            said = values(votes=["; ".join(caption_votes(summary.captions))])
-            self._log(entities.instance_path(summary.id), said, static=True)
         if self._pictures is None or self._camera is None:
             return ()
         return self._pictures.finish(result, self._camera, beside=self._partial is not None)

@@ -21,6 +21,7 @@ from openvox.view.labels import (
     UNASSIGNED,
     Captions,
     Label,
+    caption_votes,
     detected_labels,
     instance_labels,
     mask_image,
@@ -91,7 +92,8 @@ class Pictures:
         names = {instance: f"{instance}: {summaries[instance].caption}" for instance in strips}
         self._log_sheet(sheet(strips), names)
         for instance, strip in strips.items() if beside else ():
-            self._log(entities.instance_path(instance), _jpeg(strip), static=True)
+            said = values(votes=["; ".join(caption_votes(summaries[instance].captions))])
+            self._log(entities.instance_path(instance), _jpeg(strip), said, static=True)
         return tuple(strips) if beside else ()
 
     def _log_sheet(self, one: Sheet, names: Mapping[int, str]) -> None:
