@@ -8,6 +8,7 @@ from io import SEEK_END
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import lz4.frame
 import zstandard
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -24,6 +25,8 @@ from openvox.core.types import Pose
 from openvox.formats.mcap_io import BROKEN, CHUNK, MAX_RECORD, RECORD
 from openvox.formats.robot_log import Calibration, Item, Picture, TopicKind, Transform
 
+LZ4_GROWTH, PIECE = 255, 1 << 22
+"""Times that LZ4 data can grow at most; bytes that are unpacked at a time to see how much they are."""
 KINDS: Mapping[str, TopicKind] = {
     "foxglove.CompressedImage": "image",
     "foxglove.RawImage": "image",
@@ -65,8 +68,10 @@ def _reader(path: Path) -> Iterator[Any]:
     """The library's reader, with every CRC checked; what broken bytes raise is one sentence."""
     try:
         with path.open("rb") as file:
-            _check_chunks(path, file)
-            yield SeekingReader(file, validate_crcs=True, record_size_limit=MAX_RECORD)
+            chunks = _check_chunks(path, file)
+            reader = SeekingReader(file, validate_crcs=True, record_size_limit=MAX_RECORD)
+            _check_index(path, reader, chunks)
+            yield reader
     except (InputError, GeneratorExit, KeyboardInterrupt):
         raise
     except OSError as error:
@@ -76,28 +81,57 @@ def _reader(path: Path) -> Iterator[Any]:
         raise InputError(f"{path} could not be read as MCAP ({text:.300}); is it whole?") from error
 
 
-def _check_chunks(path: Path, file: BinaryIO) -> None:
-    """Raises InputError for a chunk that would unpack to more than MAX_RECORD: the library allocates what is stated."""
+def _check_chunks(path: Path, file: BinaryIO) -> set[int]:
+    """Where chunks begin. Raises InputError for one that would unpack to more than MAX_RECORD: the library allocates
+    what is stated, or as much as comes."""
     end = file.seek(0, SEEK_END)
     offset = file.seek(8)
+    chunks = set()
     while offset + RECORD.size <= end:
         file.seek(offset)
         opcode, length = RECORD.unpack(file.read(RECORD.size))
         if opcode == Opcode.CHUNK:
-            _check_chunk(path, offset, file.read(min(length, 256)))
+            _check_chunk(path, offset, file, min(length, end - file.tell()))
+            chunks.add(offset)
         offset += RECORD.size + length
     file.seek(0)
+    return chunks
 
 
-def _check_chunk(path: Path, offset: int, head: bytes) -> None:
+def _check_chunk(path: Path, offset: int, file: BinaryIO, length: int) -> None:
+    head = file.read(min(length, 256))
     _, _, size, _, named = CHUNK.unpack_from(head)
+    kind, begin = head[CHUNK.size : CHUNK.size + named], CHUNK.size + named + 8
     sizes = [size]
-    if head[CHUNK.size : CHUNK.size + named] == b"zstd":
-        sizes.append(zstandard.frame_content_size(head[CHUNK.size + named + 8 :]))
+    if kind == b"zstd":
+        sizes.append(zstandard.frame_content_size(head[begin:]))
+    elif kind == b"lz4" and LZ4_GROWTH * length > MAX_RECORD:
+        file.seek(offset + RECORD.size + begin)
+        sizes.append(_lz4_size(file.read(length - begin)))
     if max(sizes) > MAX_RECORD:
         raise InputError(
             f"{path}: the chunk at byte {offset} states {max(sizes)} bytes unpacked; at most {MAX_RECORD} are read"
         )
+
+
+def _lz4_size(data: bytes) -> int:
+    """Bytes that it unpacks to, as far as it is allowed to: nothing obliges an LZ4 frame to state them."""
+    unpacker = lz4.frame.LZ4FrameDecompressor()
+    size = len(unpacker.decompress(data, max_length=PIECE))
+    while not (unpacker.eof or unpacker.needs_input) and size <= MAX_RECORD:
+        size += len(unpacker.decompress(b"", max_length=PIECE))
+    return size
+
+
+def _check_index(path: Path, reader: SeekingReader, chunks: Collection[int]) -> None:
+    """Raises InputError where the index says that a chunk begins where none was found, and checked."""
+    summary = reader.get_summary()
+    for index in summary.chunk_indexes if summary else ():
+        if index.chunk_start_offset not in chunks:
+            raise InputError(
+                f"{path}: its index says that a chunk begins at byte {index.chunk_start_offset}, where none does; "
+                "write the index anew (mcap recover)"
+            )
 
 
 def item(topic: str, schema: str, data: bytes) -> Item:
