@@ -9,8 +9,8 @@ from pathlib import Path
 from openvox.core.errors import InputError
 from openvox.core.types import InstanceMap, Step
 
-FINISHING = 160
-"""Bytes a voxel that finishing takes for a moment; measured at 145."""
+FINISHING = 180
+"""Bytes a voxel that finishing takes for a moment; measured at 169."""
 GROWING = 40
 """Bytes a voxel that the map takes once more while its tables grow."""
 MEGABYTE = 1_000_000
