@@ -9,7 +9,7 @@ import pytest
 from maps import labelled_map
 
 from openvox.apps.ranking import DOUBT, SHARPNESS, likeness
-from openvox.apps.uses import USE_OF, USES, use_of
+from openvox.apps.uses import ANOTHER_THING, USE_OF, USES, in_short, use_of
 from openvox.core.types import InstanceMap
 
 INDEX = np.array([[0, 0, 0], [5, 5, 5]], np.int32)
@@ -62,6 +62,45 @@ def test_a_use_that_fits_better_than_the_caption_counts_half(monkeypatch):
     monkeypatch.setattr("openvox.apps.ranking.use_of", {"half": "for", "same": "other"}.get)
     scores = likeness(said({1: (("half", 1.0),), 2: (("same", 1.0),)}), Flat(), ["q"])
     np.testing.assert_allclose(scores, [[(0.6 + 1.0) / 2, 1.0]], atol=1e-6)  # a use that fits less does no harm
+
+
+def test_a_kind_of_thing_is_as_like_as_the_thing_where_that_fits_better(monkeypatch):
+    monkeypatch.setattr("openvox.apps.ranking.in_short", {"half": "same", "same": "other"}.get)
+    scores = likeness(said({1: (("half", 1.0),), 2: (("same", 1.0),)}), Flat(), ["q"])
+    np.testing.assert_allclose(scores, [[1.0, 1.0]], atol=1e-6)
+
+
+def test_a_table_is_found_by_its_name_rather_than_by_a_rare_word_of_what_has_none():
+    import dataclasses
+
+    from openvox.perception.encoder import encoder
+
+    doubtful = (("a red cabinet", 1.5), ("a red desk", 0.7), ("a red table", 0.6), ("a red bench", 0.5))
+    result = said({1: doubtful, 2: (("a beige dining table", 10.0),)})
+    result = dataclasses.replace(result, feature=np.zeros((2, 384), np.float32))
+    scores = likeness(result, encoder("minilm"), ["a table"])
+    assert scores[0, 1] > scores[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("caption", "short"),
+    [
+        ("a beige dining table on a rug", "a beige table"),
+        ("a white coffee cup", "a white cup"),
+        ("a beige table", ""),
+        ("a small white object on a table-high surface", ""),
+        ("a remote control", ""),
+        ("a hot dog", ""),
+        ("", ""),
+    ],
+)
+def test_the_kind_of_a_thing_can_be_left_out(caption, short):
+    assert in_short(caption) == short
+
+
+def test_what_is_no_kind_of_its_last_word_is_a_known_noun():
+    assert set(USE_OF) >= ANOTHER_THING
+    assert all(noun.split()[-1] in USE_OF for noun in ANOTHER_THING)
 
 
 def test_texts_and_instances_may_be_none():

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.apps.uses import use_of
+from openvox.apps.uses import in_short, use_of
 from openvox.core.types import InstanceMap
 
 SHARPNESS = 0.035
@@ -48,8 +48,13 @@ def likeness(result: InstanceMap, encoder: Encoder, texts: Sequence[str]) -> NDA
 
 
 def _caption_likeness(captions: Sequence[str], encoder: Encoder, queries: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(captions, texts): half the caption's own cosine, half the better one of that and its use's."""
+    """(captions, texts): half the caption's own cosine, half the better one of that and its use's. A dining table is a
+    table too: a caption is as like a text as it would be with the shorter noun."""
     own = cosines(queries, encoder.encode(captions))
+    shorter = [in_short(caption) for caption in captions]
+    longer = [i for i, text in enumerate(shorter) if text]
+    if longer:
+        own[longer] = np.maximum(own[longer], cosines(queries, encoder.encode([shorter[i] for i in longer])))
     uses = [use_of(caption) for caption in captions]
     known = [i for i, use in enumerate(uses) if use]
     best = own.copy()

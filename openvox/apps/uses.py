@@ -144,6 +144,10 @@ USES = {
 }
 
 USE_OF = {noun.strip().lower(): use for nouns, use in USES.items() for noun in nouns.split(",")}
+ANOTHER_THING = frozenset(
+    {"hot dog", "fire screen", "folding screen", "sleeping bag", "tool box", "magnifying glass", "waffle iron"}
+)
+"""Nouns whose last word names something that they are no kind of."""
 _LONGEST = max(len(noun.split()) for noun in USE_OF)
 _AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s")
 
@@ -170,6 +174,17 @@ def noun_of(caption: str) -> str:
     end = next((i for i, word in enumerate(words) if i and word in _HOW), len(words))
     words = words[:end]
     return _known(words) or (words[-1] if words else "")
+
+
+def in_short(caption: str) -> str:
+    """The caption without the kind of its thing, "a beige table" of "a beige dining table on a rug"; "" where there is
+    no kind, or what is left would be another thing."""
+    words = _words(caption)
+    noun = _known(words)
+    kind, _, last = noun.rpartition(" ")
+    if not kind or last not in USE_OF or noun in ANOTHER_THING:
+        return ""
+    return " ".join((*words[: len(words) - len(noun.split())], last))
 
 
 def _words(caption: str) -> list[str]:
