@@ -76,7 +76,7 @@ def test_a_table_is_found_by_its_name_rather_than_by_a_rare_word_of_what_has_non
     from openvox.perception.encoder import encoder
 
     doubtful = (("a red cabinet", 1.5), ("a red desk", 0.7), ("a red table", 0.6), ("a red bench", 0.5))
-    result = said({1: doubtful, 2: (("a beige dining table", 10.0),)})
+    result = said({1: doubtful, 2: (("a beige dining table", 10.0),)}, weight=30.0)
     result = dataclasses.replace(result, feature=np.zeros((2, 384), np.float32))
     scores = likeness(result, encoder("minilm"), ["a table"])
     assert scores[0, 1] > scores[0, 0]
