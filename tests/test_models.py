@@ -209,7 +209,7 @@ def test_what_is_wrong_with_the_file_is_a_sentence(recording, tmp_path, text, se
     [
         (
             {"models": Path("none.toml")},
-            r"none.toml: no small text file; --models wants a TOML file with tables \[det\]",
+            r"none.toml is not there; --models wants a TOML file with tables \[det\]",
         ),
         ({"frontend": "models"}, r"--frontend models wants --models FILE.toml"),
         ({"frontend": "oracle", "models": Path("x")}, r"--frontend oracle and --models x are both given"),

@@ -126,7 +126,8 @@ def of_frontend(name: str) -> Chosen:
 def read_models(path: Path) -> Chosen:
     """The stages of a TOML file: tables [det], [segcap], [enc], with `stage` and options. Raises InputError."""
     if not path.is_file() or path.stat().st_size > LARGEST_TOML:
-        raise InputError(f"{path}: no small text file; --models wants a TOML file with tables {_roles()}")
+        found = "is no file of a few lines" if path.exists() else "is not there"
+        raise InputError(f"{path} {found}; --models wants a TOML file with tables {_roles()}")
     names = dict(FRONTENDS["offline"])
     options: dict[str, dict[str, Value]] = {role: {} for role in STAGES}
     for name, value in from_toml(path).items():
