@@ -436,10 +436,11 @@ class Twin:
         if feature is not None:
             piece.total = [total + w * x for total, x in zip(piece.total, feature, strict=True)]
         piece.weight += w
-        if mask.caption:
-            support = w * round(mask.caption_score * 4096) // 4096
-            label = (mask.label or mask.caption) if mask.named else ""
-            piece.captions[label, mask.caption] += support if mask.named else support // 32
+        label = (mask.label or mask.caption) if mask.named else ""
+        for word, text, score in ((label, mask.caption, mask.caption_score), *mask.alternatives):
+            support = w * round(score * 4096) // 4096
+            if text:
+                piece.captions[word, text] += support if word else support // 32
         piece.score += round(mask.score * 4096)
         piece.observations += 1
         for f in choice.held:

@@ -54,6 +54,10 @@ def small(parameters: MapperParameters, **masks: Any) -> MapperParameters:
     )
 
 
+ALTERNATIVES = (("chair", "a chair", 0.25), ("", "a red thing", 0.5), ("box", "a box", 1.0))
+"""What a mask may be besides: label, caption, score."""
+
+
 def rectangles(camera: Intrinsics) -> st.SearchStrategy[tuple[int, int, int, int]]:
     """Corners (u0, v0, u1, v1); sides of few lengths, so that areas are often equal, and sometimes nothing at all."""
     side = st.sampled_from([5, 5, 8, 8, 12, 3, 3, 1, 0])
@@ -82,6 +86,7 @@ def masks(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> Mask:
         caption=draw(st.sampled_from(["", "a chair", "a box"])),
         caption_score=draw(st.sampled_from([0.0, 0.5, 1.0])),
         named=draw(st.booleans()),
+        alternatives=tuple(draw(st.lists(st.sampled_from(ALTERNATIVES), max_size=2))),
         kind=draw(st.sampled_from(MASK_KINDS)),
         embedding=embedding,
     )
