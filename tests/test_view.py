@@ -217,7 +217,13 @@ def served(folder: Path, temporary: Path) -> Iterator[tuple[subprocess.Popen[str
     """`openvox view --web` as a process of its own, and the URL that it printed."""
     command = [sys.executable, "-m", "openvox", "view", str(folder / "tiny.map.npz"), "--web"]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1", "TMPDIR": str(temporary)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background have it ignored
+    )
     assert process.stdout is not None
     try:
         yield process, process.stdout.readline().strip()
