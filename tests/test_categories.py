@@ -54,6 +54,7 @@ def map_file(tmp_path: Path) -> Path:
         ("a brown chest of drawers", "chest of drawers"),
         ("a close up of a green vegetable", "vegetable"),
         ("a side table next to another object", "side table"),
+        ("the bowl is white", "bowl"),
         ("a zorbulator", "zorbulator"),
         ("full", "full"),
         ("", ""),

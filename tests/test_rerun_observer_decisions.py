@@ -35,6 +35,7 @@ from openvox.view.decision_graph import decision_graph
 from openvox.view.decision_table import margins
 from openvox.view.instance_table import Row, markdown
 from openvox.view.live_map import LiveMap
+from openvox.view.lives import COLORS
 from openvox.view.rerun_lives import lane
 from openvox.view.rerun_observer import RerunObserver
 from openvox.view.votes import finished_entropies, shares_and_entropies
@@ -122,11 +123,18 @@ def test_each_life_is_told_as_states(tmp_path: Path) -> None:
     end = finished([(0, 0, 0)], [1], captions={1: "white cup"})
     path = record(tmp_path / "run.rrd", story.steps, replace(end, events=dropped))
     assert states(path, "0001_white_cup") == [(0, "tentative"), (1, "confirmed")]
-    assert states(path, "0002_dropped") == [(0, "tentative"), (2, "merged"), (3, "split"), (4, "dropped")]
+    fate = (3, "split, dropped at the end")  # the end has no width on a lane
+    assert states(path, "0002") == [(0, "tentative"), (2, "merged"), fate, (4, "dropped")]
+
+
+def test_every_state_on_a_lane_has_a_colour() -> None:
+    assert {"split", "dropped", "split, dropped at the end"} < set(COLORS)
 
 
 def test_a_lane_is_named_by_id_and_caption_in_letters_that_a_path_shows_as_they_are() -> None:
-    assert lane(17, 'a "grün/white" cup, with a long, long handle') == "lives/0017_a_grün_white_cup_wit"
+    assert lane(17, 'a "grün/white" cup, with a long, long handle') == "lives/0017_grün_white_cup"
+    assert lane(5, "a close up of a green vegetable") == "lives/0005_green_vegetable"
+    assert lane(2, "there is a low and very dark brown TV stand with doors") == "lives/0002_very_dark_brown_TV_stand"
     assert lane(4, "") == "lives/0004"
 
 

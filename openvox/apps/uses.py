@@ -6,7 +6,7 @@ that the front ends know, before any query of a data set was read.
 
 from __future__ import annotations
 
-import re
+from openvox.core.phrases import AFTER, thing
 
 USES = {
     "chair, armchair, folding chair, rocking chair, office chair, stool, bench": "a seat to sit down on",
@@ -149,16 +149,6 @@ ANOTHER_THING = frozenset(
 )
 """Nouns whose last word names something that they are no kind of."""
 _LONGEST = max(len(noun.split()) for noun in USE_OF)
-_AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s")
-
-
-_AMOUNT = re.compile(
-    r"^(?:there (?:is|are) )?(?:an? |the )?(?:close ?up|pair|row|set|pile|stack|bunch|group|piece|couple) of "
-)
-"""What captions say before the thing that they speak of."""
-
-_HOW = {"full", "filled", "next", "made", "covered", "standing", "hanging", "sitting", "lying", "leaning", "mounted"}
-"""Words that may stand between the thing and what follows it."""
 
 
 def use_of(caption: str) -> str:
@@ -170,9 +160,7 @@ def use_of(caption: str) -> str:
 def noun_of(caption: str) -> str:
     """The thing of a caption, in one word where its name is not known: "a tall white bookcase full of books" is a
     bookcase, "a pair of running shoes" shoes; "" without words."""
-    words = _words(_AMOUNT.sub("", caption.lower().strip(" .")))
-    end = next((i for i, word in enumerate(words) if i and word in _HOW), len(words))
-    words = words[:end]
+    words = thing(caption.lower())
     return _known(words) or (words[-1] if words else "")
 
 
@@ -189,7 +177,7 @@ def in_short(caption: str) -> str:
 
 def _words(caption: str) -> list[str]:
     """Up to what follows the thing."""
-    return _AFTER.split(caption.lower().strip(" ."), maxsplit=1)[0].replace(",", " ").split()
+    return AFTER.split(caption.lower().strip(" ."), maxsplit=1)[0].replace(",", " ").split()
 
 
 def _known(words: list[str]) -> str:

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from openvox.core.types import InstanceMap, Intrinsics
 from openvox.view import entities
 from openvox.view.best_views import WIDTH
-from openvox.view.lives import STATES
+from openvox.view.lives import COLORS
 from openvox.view.viewpoint import best_azimuth, centres, from_above
 
 MOST_BITS = 1.5
@@ -116,7 +116,7 @@ def _pictures() -> rrb.Vertical:
 
 
 def _numbers() -> rrb.Vertical:
-    configuration = rr.StateConfiguration(values=list(STATES), labels=list(STATES), colors=list(STATES.values()))
+    configuration = rr.StateConfiguration(values=list(COLORS), labels=list(COLORS), colors=list(COLORS.values()))
     return rrb.Vertical(
         rrb.Tabs(
             rrb.TextDocumentView(origin=entities.DECISION_TABLE, name="Decisions of this frame"),

@@ -14,6 +14,10 @@ STATES = {
     "dropped": (229, 57, 53),
 }
 """Each state and its colour. merged: into another instance; split: off another one, not confirmed since."""
+FATE = "{}, dropped at the end"
+FATE_COLOR = (156, 60, 60)
+"""Finishing drops after the last frame, where a lane has no width left: its last stretch says so."""
+COLORS = {**STATES, **{FATE.format(state): FATE_COLOR for state in STATES}}
 
 
 class Lives:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 
+from openvox.core.phrases import short_name
 from openvox.core.types import Frame
 from openvox.view import entities
-from openvox.view.labels import Captions, shortened
-from openvox.view.rerun_values import Log
+from openvox.view.labels import Captions
+from openvox.view.lives import FATE
 
 LETTERS = 24
+Moment = tuple[int, int]
+"""Frame number and stamp, ns: the frame itself would keep its pictures."""
 
 
 class Lanes:
@@ -21,39 +24,46 @@ class Lanes:
 
     A lane is called as its entity, whose path shows anything but letters and digits escaped."""
 
-    def __init__(self, recording: rr.RecordingStream, log: Log, captions: Captions, watched: bool) -> None:
-        self._recording, self._log, self._captions, self._watched = recording, log, captions, watched
+    def __init__(self, recording: rr.RecordingStream, captions: Captions, watched: bool) -> None:
+        self._recording, self._captions, self._watched = recording, captions, watched
         self._names: dict[int, str] = {}
-        self._states: dict[int, list[tuple[Frame, str]]] = {}
+        self._states: dict[int, list[tuple[Moment, str]]] = {}
 
     def add(self, frame: Frame, states: Iterable[tuple[int, str]]) -> None:
         """What became of some instances at this frame."""
         for instance, state in states:
-            if self._watched:
-                path = self._names.setdefault(instance, lane(instance, self._captions.first(instance)))
-                self._log(path, rr.StateChange(state=state))
-            else:
-                self._states.setdefault(instance, []).append((frame, state))
+            told = self._states.setdefault(instance, [])
+            if state == "dropped" and told:
+                begin, last = told.pop()
+                self._tell(instance, begin, FATE.format(last))
+            self._tell(instance, (frame.index, frame.stamp_ns), state)
+
+    def _tell(self, instance: int, when: Moment, state: str) -> None:
+        self._states[instance].append((when, state))
+        if self._watched:
+            path = self._names.setdefault(instance, lane(instance, self._captions.first(instance)))
+            rr.send_columns(path, _columns([when]), rr.StateChange.columns(state=[state]), recording=self._recording)
 
     def finish(self, captions: Mapping[int, str]) -> None:
-        """captions: of the finished map's instances; others have the one that most of their own masks had. A lane says
-        in its name that its instance was dropped: the state itself begins where the lanes end."""
-        for instance, states in sorted(self._states.items()):
-            caption = captions.get(instance) or self._captions.first(instance)
-            frames = [frame for frame, _ in states]
-            stamps = np.array([frame.stamp_ns for frame in frames], "datetime64[ns]")
+        """captions: of the finished map's instances; others have the one that most of their own masks had."""
+        for instance, states in () if self._watched else sorted(self._states.items()):
             rr.send_columns(
-                lane(instance, f"dropped {caption}".strip() if states[-1][1] == "dropped" else caption),
-                indexes=[
-                    rr.TimeColumn(entities.FRAME, sequence=[frame.index for frame in frames]),
-                    rr.TimeColumn(entities.SENSOR_TIME, timestamp=stamps),
-                ],
-                columns=rr.StateChange.columns(state=[state for _, state in states]),
+                lane(instance, captions.get(instance) or self._captions.first(instance)),
+                _columns([when for when, _ in states]),
+                rr.StateChange.columns(state=[state for _, state in states]),
                 recording=self._recording,
             )
 
 
+def _columns(moments: Sequence[Moment]) -> list[rr.TimeColumn]:
+    stamps = np.array([stamp for _, stamp in moments], "datetime64[ns]")
+    return [
+        rr.TimeColumn(entities.FRAME, sequence=[frame for frame, _ in moments]),
+        rr.TimeColumn(entities.SENSOR_TIME, timestamp=stamps),
+    ]
+
+
 def lane(instance: int, caption: str) -> str:
-    """Entity of an instance's life, as in `lives/0017_a_white_cup`."""
-    words = re.sub(r"[\W_]+", "_", shortened(caption, LETTERS)).strip("_")
+    """Entity of an instance's life, as in `lives/0017_white_cup`."""
+    words = re.sub(r"[\W_]+", "_", short_name(caption, LETTERS)).strip("_")
     return f"{entities.LIVES}/{instance:04d}{'_' if words else ''}{words}"

@@ -75,7 +75,7 @@ class RerunObserver:
         self._partial: Path | None = None
         self._has_camera, self._with_pictures = camera, camera and images != "none"
         self._open(target)
-        self._lanes = Lanes(self._recording, self._log, self._captions, watched=isinstance(target, str))
+        self._lanes = Lanes(self._recording, self._captions, watched=isinstance(target, str))
         self._instances = Instances(self._log, voxel_size, self._map, self._captions)
         self._pictures = (
             Pictures(self._log, images, voxel_size, self._map, self._captions) if self._with_pictures else None

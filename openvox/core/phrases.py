@@ -1,0 +1,34 @@
+"""Which words of a caption are the thing that it speaks of; the rest says where it is, or how it was seen."""
+
+from __future__ import annotations
+
+import re
+
+AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s", re.IGNORECASE)
+"""What follows the thing begins so."""
+_BEFORE = re.compile(
+    r"^(?:there (?:is|are) )?(?:(?:an?|the) )?"
+    r"(?:(?:close ?up|pair|row|set|pile|stack|bunch|group|piece|couple) of (?:(?:an?|the) )?)?",
+    re.IGNORECASE,
+)
+"""What captions say before the thing that they speak of."""
+_HOW = {"full", "filled", "next", "made", "covered", "standing", "hanging", "sitting", "lying", "leaning", "mounted"}
+"""Words that may stand between the thing and what follows it."""
+_IS = {"is", "are"}
+
+
+def thing(caption: str) -> list[str]:
+    """Words of the thing: tall, white, bookcase of "there is a tall white bookcase full of books"."""
+    line = " ".join(caption.split()).strip(" .")
+    words = AFTER.split(_BEFORE.sub("", line), maxsplit=1)[0].replace(",", " ").split()
+    end = next((i for i, word in enumerate(words) if i and word.lower() in _HOW | _IS), len(words))
+    return words[:end]
+
+
+def short_name(caption: str, length: int) -> str:
+    """The thing in so many characters: its last words, which name it; a longer word is cut with an ellipsis."""
+    words = thing(caption)
+    while len(words) > 1 and len(" ".join(words)) > length:
+        words = words[1:]
+    name = " ".join(words)
+    return name if len(name) <= length else name[: length - 1] + "…"
