@@ -17,8 +17,9 @@ LARGEST = 8
 
 
 def rrd_info(path: Path) -> dict[str, Any]:
-    """`application`, `recording_ids`, `timelines` (name to first and last: frames, or ns), `entities`, `rows`, `bytes`
-    of what was logged, and `largest`, the entities that take most. Raises InputError where the file is not whole."""
+    """`application`, `recording_ids`, `timelines` (name to first and last: frames, or ns), `entities`, `rows`, `bytes` of
+    the file, `unpacked_bytes` of what was logged, and `largest`, the entities that take most of these. Raises InputError
+    where the file is not whole."""
     timelines: dict[str, list[int]] = {}
     size: Counter[str] = Counter()
     rows = 0
@@ -37,7 +38,8 @@ def rrd_info(path: Path) -> dict[str, Any]:
         "timelines": {name: timelines[name] for name in sorted(timelines)},
         "entities": len(size),
         "rows": rows,
-        "bytes": size.total(),
+        "bytes": path.stat().st_size,
+        "unpacked_bytes": size.total(),
         "largest": dict(sorted(size.items(), key=lambda one: (-one[1], one[0]))[:LARGEST]),
     }
 
