@@ -17,9 +17,10 @@ LARGEST = 8
 
 
 def rrd_info(path: Path) -> dict[str, Any]:
-    """`application`, `recording_ids`, `timelines` (name to first and last: frames, or ns), `entities`, `rows`, `bytes` of
-    the file, `unpacked_bytes` of what was logged, and `largest`, the entities that take most of these. Raises InputError
-    where the file is not whole."""
+    """`application`, `recording_ids`, `timelines` (name to first and last: frames, or ns), `entities`, `rows`, `bytes`
+    of the file, `unpacked_bytes` of what was logged, and `largest`, the entities that take most of these.
+
+    Raises InputError where the file is not whole."""
     timelines: dict[str, list[int]] = {}
     size: Counter[str] = Counter()
     rows = 0
