@@ -27,9 +27,13 @@ def info(path: Path) -> dict[str, Any]:
 
 def is_rrd(path: Path) -> bool:
     """Whether a file begins as those of Rerun do. Raises InputError where it cannot be read."""
+    return _first_bytes(path, len(RRD)) == RRD
+
+
+def _first_bytes(path: Path, length: int) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(len(RRD)) == RRD
+            return file.read(length)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
 
@@ -39,11 +43,7 @@ def kind_of(path: Path) -> str:
     from openvox.formats.growing import growing_topics, is_unfinished
     from openvox.formats.mcap_io import MAGIC, read_topics
 
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(MAGIC))
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
+    start = _first_bytes(path, len(MAGIC))
     if start.startswith(_ZIP):
         return "map"
     if start != MAGIC:

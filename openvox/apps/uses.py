@@ -6,7 +6,7 @@ that the front ends know, before any query of a data set was read.
 
 from __future__ import annotations
 
-from openvox.core.phrases import AFTER, thing
+from openvox.core.phrases import thing, words_of_thing
 
 USES = {
     "chair, armchair, folding chair, rocking chair, office chair, stool, bench": "a seat to sit down on",
@@ -153,7 +153,7 @@ _LONGEST = max(len(noun.split()) for noun in USE_OF)
 
 def use_of(caption: str) -> str:
     """What the thing of a caption is for, "" if that is not known: "a white coffee cup on a table" is a cup."""
-    words = _words(caption)
+    words = words_of_thing(caption.lower().strip(" ."))
     return USE_OF.get(_known(words), "")
 
 
@@ -167,17 +167,12 @@ def noun_of(caption: str) -> str:
 def in_short(caption: str) -> str:
     """The caption without the kind of its thing, "a beige table" of "a beige dining table on a rug"; "" where there is
     no kind, or what is left would be another thing."""
-    words = _words(caption)
+    words = words_of_thing(caption.lower().strip(" ."))
     noun = _known(words)
     kind, _, last = noun.rpartition(" ")
     if not kind or last not in USE_OF or noun in ANOTHER_THING:
         return ""
     return " ".join((*words[: len(words) - len(noun.split())], last))
-
-
-def _words(caption: str) -> list[str]:
-    """Up to what follows the thing."""
-    return AFTER.split(caption.lower().strip(" ."), maxsplit=1)[0].replace(",", " ").split()
 
 
 def _known(words: list[str]) -> str:

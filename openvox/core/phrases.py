@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s", re.IGNORECASE)
+_AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s", re.IGNORECASE)
 """What follows the thing begins so."""
 _BEFORE = re.compile(
     r"^(?:there (?:is|are) )?(?:(?:an?|the) )?"
@@ -17,10 +17,14 @@ _HOW = {"full", "filled", "next", "made", "covered", "standing", "hanging", "sit
 _IS = {"is", "are"}
 
 
+def words_of_thing(caption: str) -> list[str]:
+    """Words up to what follows the thing; what is said before it stays."""
+    return _AFTER.split(caption, maxsplit=1)[0].replace(",", " ").split()
+
+
 def thing(caption: str) -> list[str]:
     """Words of the thing: tall, white, bookcase of "there is a tall white bookcase full of books"."""
-    line = " ".join(caption.split()).strip(" .")
-    words = AFTER.split(_BEFORE.sub("", line), maxsplit=1)[0].replace(",", " ").split()
+    words = words_of_thing(_BEFORE.sub("", " ".join(caption.split()).strip(" .")))
     end = next((i for i, word in enumerate(words) if i and word.lower() in _HOW | _IS), len(words))
     return words[:end]
 

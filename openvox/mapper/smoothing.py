@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,11 @@ class Tally:
     total: Longs
     """(voxels,): all votes of each voxel, those that name nobody too."""
 
+    @cached_property
+    def offset(self) -> Longs:
+        """(voxels + 1,): where the votes of each voxel begin."""
+        return np.searchsorted(self.row, np.arange(len(self.total) + 1))
+
     def own(self, shown: Longs) -> Longs:
         """(voxels,): votes of each voxel for what it shows."""
         own = np.zeros(len(shown), np.int64)
@@ -48,8 +54,8 @@ class Tally:
     def of(self, rows: Longs | Ints, factor: int) -> Counted:
         """The votes of the voxels `rows` (-1 = none) times a factor."""
         known = np.maximum(rows, 0)
-        first, end = np.searchsorted(self.row, known), np.searchsorted(self.row, known, "right")
-        lengths = np.where(rows >= 0, end - first, 0)
+        first = self.offset[known]
+        lengths = np.where(rows >= 0, self.offset[known + 1] - first, 0)
         place = np.repeat(np.arange(len(rows)), lengths)
         vote = np.arange(len(place)) + np.repeat(first - (np.cumsum(lengths) - lengths), lengths)
         return place.astype(np.int32), self.instance[vote], self.count[vote] * factor

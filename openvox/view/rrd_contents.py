@@ -21,6 +21,8 @@ def rrd_info(path: Path) -> dict[str, Any]:
     of the file, `unpacked_bytes` of what was logged, and `largest`, the entities that take most of these.
 
     Raises InputError where the file is not whole."""
+    import pyarrow.compute as pc
+
     timelines: dict[str, list[int]] = {}
     size: Counter[str] = Counter()
     rows = 0
@@ -31,8 +33,10 @@ def rrd_info(path: Path) -> dict[str, Any]:
             size[str(chunk.entity_path)] += batch.nbytes
             rows += chunk.num_rows
             for name in chunk.timeline_names:
-                times = batch.column(name).cast("int64").drop_null().to_pylist()
-                timelines[name] = [min([*timelines.get(name, ()), *times]), max([*timelines.get(name, ()), *times])]
+                found = pc.min_max(batch.column(name).cast("int64")).as_py()
+                if found["min"] is not None:  # else the chunk has no row
+                    first, last = timelines.get(name, found.values())
+                    timelines[name] = [min(first, found["min"]), max(last, found["max"])]
     return {
         "application": ", ".join(sorted({store.application_id for store in stores})),
         "recording_ids": [store.recording_id for store in stores],
