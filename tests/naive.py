@@ -348,6 +348,9 @@ class Twin:
                     amount *= 2
                 if {a, b} <= regions or {a, b} <= supports:  # may be pieces of one thing
                     amount = int(only_regions)
+                for s, r in ((a, b), (b, a)):
+                    if s in supports and r in regions and len(areas[r]) < len(areas[s]):  # it cannot bear it
+                        amount = 0
                 amounts.append(amount)
             self.count(self.apart, (f, g), max(amounts))
 

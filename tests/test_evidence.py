@@ -130,6 +130,13 @@ def test_masks_side_by_side_contradict_each_other_as_their_kinds_know(kinds: lis
     assert evidence.apart.get((1, 2), 0) == apart
 
 
+def test_what_stands_on_something_says_nothing_of_a_smaller_region_as_that_does_not_bear_it():
+    kinds: list[MaskKind] = ["support", "region"]
+    assert counted(kinds, [{1, 3}, {2}]).apart == {}
+    assert counted(kinds, [{1}, {2}]).apart == {(1, 2): 4}
+    assert counted(kinds, [{1}, {2, 3}]).apart == {(1, 2): 4, (1, 3): 4}
+
+
 @pytest.mark.parametrize(
     ("kinds", "clear", "small"),
     [

@@ -215,7 +215,7 @@ def test_outlines_are_sharp_at_full_size_for_any_size_of_picture(width, height):
     depth[block] = 1500
     found = surface(depth, camera, 0.15, 6.0)
     parameters = GeometryParameters()
-    labels = segments(found, found.points[2] > 2.5, parameters)
+    labels, _ = segments(found, found.points[2] > 2.5, parameters)
     full = at_depth_pixels(labels, found, depth_in_metres(depth, 0.15, 6.0))
     assert full.shape == (height, width)
     assert overlap(full > 0, block) > 0.98

@@ -16,16 +16,17 @@ from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
 from openvox.perception.claims import claims
 from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
+from openvox.perception.joined import joined
 from openvox.perception.namer import GREY, SIDE, Namer, square
 from openvox.perception.nanodet import NanoDet
-from openvox.perception.offline import EVERYDAY, Offline, Words, captioned, colors_of, guesses
+from openvox.perception.offline import EVERYDAY, Offline, Words, captioned, colors_of, guesses, mask_score
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.parts import Parts, parted
 from openvox.perception.planes import Plane, Room
 from openvox.perception.regions import depth_at_color_pixels
 from openvox.perception.segments import background_of, segments
 from openvox.perception.sizes import SIZE_OF, SIZES, extent_of, fits
-from openvox.perception.stems import joined_on_stems
+from openvox.perception.supports import FLOOR as ON_FLOOR
 from openvox.perception.surface import surface
 from openvox.perception.wording import Form
 
@@ -139,21 +140,40 @@ def test_arms_of_a_seat_do_not_stand_on_it():
         assert (len(parts.depths) - 1 > parts.pieces) is standing
 
 
-def test_what_stands_on_a_segment_is_known_and_what_stands_beside_it_is_not():
+def test_what_stands_on_a_segment_or_by_itself_on_the_floor_is_known():
     box = Solid(2, 29, (-0.3, 1.9, 0.75), (0.0, 2.2, 1.1), (250, 250, 250))
-    beside = Solid(3, 29, (0.9, 1.7, 0.0), (1.3, 2.1, 0.9), (20, 200, 20))
-    frame = photograph(TABLE, box, beside)
+    beside = Solid(3, 29, (0.2, 1.9, 0.0), (0.5, 2.2, 0.9), (20, 200, 20))
+    frame = photograph(replace(TABLE, high=(0.1, 2.6, 0.75)), box, beside)
     parts = parts_of(frame)
     table, upper, lower = (best(parts, frame.truth_instances == i)[1] for i in (1, 2, 3))
-    assert parts.on == {upper: table}
+    assert parts.on == {upper: table, lower: ON_FLOOR}
     kinds = {
         i: mask.kind
         for mask in Offline(GEOMETRY, OFFLINE, FLOOR)(frame, ())
         for i in (1, 2, 3)
         if overlap(mask.bitmap(240, 320), frame.truth_instances == i) > 0.7
     }
-    assert kinds == {1: "region", 2: "support", 3: "region"}
-    assert lower not in parts.on
+    assert kinds == {1: "region", 2: "support", 3: "support"}
+
+
+SPEAKER = Solid(3, 29, (0.3, 1.8, 0.0), (0.6, 2.1, 0.8), (20, 20, 20))
+
+
+@pytest.mark.parametrize(
+    ("solids", "free"),
+    [
+        ((SPEAKER,), True),
+        ((SPEAKER, replace(TABLE, high=(0.25, 2.6, 0.75))), True),  # beside a table
+        ((replace(SPEAKER, low=(0.3, 1.8, 0.3)),), False),  # in the air
+        ((replace(SPEAKER, high=(0.6, 2.1, 0.1)),), False),  # a foot
+        ((SPEAKER, Solid(4, 7, (0.1, 1.6, 0.95), (0.8, 2.4, 1.0), (120, 80, 40))), False),  # a leg of what is above
+        ((replace(SPEAKER, high=(3.0, 2.1, 0.8)),), False),  # cut off by the picture's edge
+    ],
+)
+def test_what_reaches_the_floor_and_ends_in_an_open_top_stands_there_by_itself(solids, free):
+    frame = photograph(*solids)
+    parts = parts_of(frame)
+    assert (parts.on.get(best(parts, frame.truth_instances == 3)[1]) == ON_FLOOR) is free
 
 
 POT = Solid(2, 7, (-0.1, 1.9, 0.0), (0.1, 2.1, 0.4), (120, 80, 40))
@@ -161,8 +181,17 @@ CROWN = Solid(2, 7, (-0.5, 1.8, 0.4), (0.5, 2.2, 1.0), (20, 160, 20))
 BESIDE = Solid(3, 7, (0.55, 1.9, 0.0), (0.75, 2.1, 0.4), (120, 80, 40))
 
 
+def joins(*solids: Solid) -> int:
+    """How many segments of a photograph become parts of others."""
+    frame = photograph(*solids, eye=(0.0, 0.3, 0.6))
+    seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
+    pose = frame.world_from_depth
+    labels, pieces = segments(seen, background_of(seen, FLOOR, pose), GEOMETRY)
+    return int(labels.max() - joined(labels, pieces, seen, FLOOR, pose, GEOMETRY).max())
+
+
 @pytest.mark.parametrize(
-    ("solids", "joined"),
+    ("solids", "number"),
     [
         ((POT, CROWN), 1),
         ((POT, CROWN, BESIDE), 1),
@@ -170,12 +199,42 @@ BESIDE = Solid(3, 7, (0.55, 1.9, 0.0), (0.75, 2.1, 0.4), (120, 80, 40))
         ((replace(POT, high=(0.1, 2.1, 0.2)), CROWN), 0),  # does not touch it
     ],
 )
-def test_what_a_narrow_thing_bears_is_one_with_it(solids, joined):
-    frame = photograph(*solids, eye=(0.0, 0.3, 0.6))
+def test_what_a_narrow_thing_bears_is_one_with_it(solids, number):
+    assert joins(*solids) == number
+
+
+def test_a_left_over_too_small_for_a_region_stays_only_as_a_pole_of_what_it_bears():
+    shade = Solid(1, 7, (-0.25, 1.9, 0.7), (0.25, 2.3, 1.1), (250, 240, 200))
+    pole = Solid(2, 7, (-0.02, 2.09, 0.3), (0.02, 2.11, 0.7), (250, 240, 200))
+    alone = Solid(3, 7, (0.58, 2.09, 0.3), (0.62, 2.11, 0.7), (250, 240, 200))
+    strip = Solid(4, 7, (-0.2, 2.2, 0.64), (0.2, 2.22, 0.7), (250, 240, 200))  # under the shade, but no pole
+    frame = photograph(shade, pole, alone, strip, eye=(0.0, 0.3, 0.3))
+    truth = frame.truth_instances.astype(np.int32)
     seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
-    pose = frame.world_from_depth
-    pieces = segments(seen, background_of(seen, FLOOR, pose), GEOMETRY)
-    assert joined_on_stems(pieces, seen, FLOOR, pose, GEOMETRY).max() == pieces.max() - joined
+    out = joined(truth, 1, seen, FLOOR, frame.world_from_depth, GEOMETRY)  # 2 to 4 are left-overs
+    assert np.array_equal(out, np.where(truth <= 2, truth > 0, 0))
+
+
+def bookcase(width: float, depth: float = 0.3, upper_depth: float = 0.3) -> list[Solid]:
+    """Two boards with a row of books on each."""
+    x, back = width / 2, 2.0 + depth
+    out = []
+    for z, near in ((0.0, 2.0), (0.4, back - upper_depth)):
+        out.append(Solid(2, 10, (-x, near, z), (x, back, z + 0.03), (120, 80, 40)))
+        out.append(Solid(2, 10, (-x, near + 0.06, z), (x, back, z + 0.25), (120, 80, 40)))
+    return out
+
+
+def test_storeys_of_furniture_are_one_thing():
+    frame = photograph(*bookcase(0.9), eye=(0.0, 0.3, 0.9))
+    assert best(parts_of(frame), frame.truth_instances == 2)[0] > 0.8
+
+
+def test_a_narrow_pile_and_a_board_above_half_of_another_one_are_no_storeys():
+    narrow = photograph(*bookcase(0.4), eye=(0.0, 0.3, 0.9))
+    assert best(parts_of(narrow), narrow.truth_instances == 2)[0] < 0.8
+    stepped = photograph(*bookcase(0.9, depth=0.6, upper_depth=0.15), eye=(0.0, 0.3, 0.9))
+    assert best(parts_of(stepped), stepped.truth_instances == 2)[0] < 0.8
 
 
 def test_a_sheet_on_an_even_table_is_parted_by_colour():
@@ -329,10 +388,10 @@ def box_of(score: float, label: str = "chair", wider: float = 0.0) -> Box:
         (box_of(0.45), ("lamp", 0.9), "a white lamp", 0.9, "object"),  # else the classifier
         (box_of(0.45), ("lamp", 0.2), "a white chair", 0.45, "object"),  # else a likely detector
         (box_of(0.35), ("lamp", 0.2), "", 0.5, "object"),  # else nobody
-        (None, ("lamp", 0.36), "a white lamp", 0.36, "region"),
-        (None, ("lamp", 0.34), "", 0.5, "region"),
-        (box_of(0.8, "cup"), ("lamp", 0.9), "a white lamp", 0.9, "object"),  # no cup is 90 cm high
-        (box_of(0.8, "cup"), ("mug", 0.9), "", 0.5, "object"),
+        (None, ("lamp", 0.36), "a white lamp", 0.36, "support"),
+        (None, ("lamp", 0.34), "", 0.5, "support"),
+        (box_of(0.8, "cup"), ("lamp", 0.9), "a white lamp", 0.9, "region"),  # no cup is 90 cm high
+        (box_of(0.8, "cup"), ("mug", 0.9), "", 0.5, "region"),
     ],
 )
 def test_words_are_given_only_where_they_are_mostly_right(monkeypatch, box, noun, caption, score, kind):
@@ -463,3 +522,24 @@ def test_the_number_of_workers_changes_no_byte(tmp_path: Path):
     files = [perceive(path, jobs=jobs, out=tmp_path / f"{jobs}.mcap").output for jobs in (1, 3)]
     assert files[0].read_bytes() == files[1].read_bytes()
     assert [found.index for found in read_masks(files[0])] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("box", "kind", "named", "score"),
+    [
+        ((10, 10, 60, 50), "object", False, 0.6),  # a detector's
+        ((10, 10, 60, 50), "support", False, 0.5),
+        ((10, 10, 30, 20), "region", False, 0.3),  # 200 pixels
+        ((10, 10, 30, 20), "region", True, 0.5),
+        ((10, 10, 60, 50), "region", False, 0.5),  # 2000 pixels
+        ((0, 10, 20, 50), "region", False, 0.2),  # 800 pixels at the picture's edge
+        ((300, 10, 320, 50), "region", False, 0.2),
+        ((300, 10, 319, 50), "region", False, 0.5),
+        ((0, 0, 60, 50), "region", False, 0.5),
+    ],
+)
+def test_a_mask_is_as_sure_as_it_is_likely_a_whole_thing(box, kind, named, score):
+    x0, y0, x1, y1 = box
+    bitmap = np.zeros((240, 320), np.bool_)
+    bitmap[y0:y1, x0:x1] = True
+    assert mask_score(Mask.from_bitmap(bitmap), kind, named, CAMERA, OFFLINE) == score

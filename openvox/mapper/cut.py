@@ -129,7 +129,7 @@ def count_pairs(
                 clear = {m: min(visible[m].get(f, 0), visible[m].get(g, 0)) >= parameters.clear_pixels for m in both}
                 evidence.add_together(f, g, max(_togetherness(kinds[m], clear[m]) for m in both))
                 continue
-            apart = max(_contradiction(a, b, kinds, nesting) for a in holders[f] for b in holders[g])
+            apart = max(_contradiction(a, b, masks, kinds, nesting) for a in holders[f] for b in holders[g])
             if apart:
                 evidence.add_apart(f, g, apart)
 
@@ -189,12 +189,19 @@ def count_omissions(
         evidence.add_apart(f, g, parameters.omission)
 
 
-def _contradiction(a: int, b: int, kinds: Sequence[str], nesting: Nesting) -> int:
+def _contradiction(a: int, b: int, masks: Sequence[Mask | None], kinds: Sequence[str], nesting: Nesting) -> int:
     """How much two masks say that what they hold is two things: 2, half if nested, twice if one stands on a support.
 
     Two regions, or two that stand on something, may be pieces of one thing: they say nothing where the frame has masks
-    that know better, else half."""
+    that know better, else half. Nor does what stands on something beside a smaller region: that does not bear it."""
     if kinds[a] == kinds[b] and kinds[a] in ("region", "support"):
         return 0 if "object" in kinds or "support" in kinds else 1
+    small, large = sorted((a, b), key=lambda m: _area(masks[m]))
+    if kinds[large] == "support" and kinds[small] == "region" and _area(masks[small]) < _area(masks[large]):
+        return 0
     amount = 1 if nesting(a, b) else 2
     return 2 * amount if "support" in (kinds[a], kinds[b]) else amount
+
+
+def _area(mask: Mask | None) -> int:
+    return 0 if mask is None else mask.area

@@ -72,7 +72,7 @@ class Geometry:
         """Regions of the frame, pieces first, then left-overs, each by their first pixel row by row."""
         p = self._parameters
         seen = surface(frame.depth, frame.rig.depth, p.near, p.far)
-        labels = segments(seen, background_of(seen, self._room, frame.world_from_depth), p)
+        labels, _ = segments(seen, background_of(seen, self._room, frame.world_from_depth), p)
         form = forms(labels, seen, self._room, frame.world_from_depth)
         labels = at_depth_pixels(labels, seen, depth_in_metres(frame.depth, p.near, p.far))
         labels = smooth(at_color_pixels(labels, frame.depth, frame.rig))

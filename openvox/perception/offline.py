@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from openvox.core.digest import digest_of
 from openvox.core.parameters import Value
-from openvox.core.types import Frame, Mask, MaskKind
+from openvox.core.types import Frame, Intrinsics, Mask, MaskKind
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
 from openvox.perception.claims import Thing, claims
@@ -38,6 +38,8 @@ Word = tuple[str, float]
 """A noun, "" = none, and how sure it is."""
 UNSURE = 0.5
 """What the classifier's other nouns count beside a given word."""
+WHOLE, SMALL, CUT_OFF = 0.6, 0.3, 0.2
+"""Scores of masks that a detector found, of small nameless regions, and of those that the picture's edge cuts."""
 GUESS = 0.1
 """What a guess from the form alone counts: too little for a name."""
 PICTURE_SIZE = 0.12, 1.6
@@ -52,7 +54,7 @@ EVERYDAY = {
     "sports ball": "ball",
 }
 """The detector's words for what the classifier calls otherwise: votes for one thing must not be parted."""
-VERSION = 5
+VERSION = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +93,20 @@ class Offline:
         """What boxes made whole, small boxes before large ones, then the other regions by number."""
         rgb = decode_color(frame) if frame.color else None
         parts = parted(frame, rgb, self._room, self._geometry, self._offline)
-        found = [] if rgb is None else claims(boxes, parts, rgb, frame.rig.color.fx, self._offline)
-        things = [*found, *self._left(parts, found, working_step(frame.rig.color) ** 2)]
+        claimed = [] if rgb is None else claims(boxes, parts, rgb, frame.rig.color.fx, self._offline)
+        things = [*claimed, *self._left(parts, claimed, working_step(frame.rig.color) ** 2)]
         masks = [Mask.from_bitmap(thing.bitmap) for thing in things]
         extents = [extent_of(mask, parts.z, frame.rig.color) for mask in masks]
         words = [Words()] * len(masks) if rgb is None else self._words(rgb, things, masks, extents)
         colors = [""] * len(masks) if rgb is None else colors_of(rgb, masks)
         sure = self._offline.support_pixels * working_step(frame.rig.color) ** 2
-        return tuple(
-            captioned(mask, _kind(thing, mask, parts, sure), _form(thing, parts), extent, said, color)
-            for mask, thing, extent, said, color in zip(masks, things, extents, words, colors, strict=True)
-        )
+        out = []
+        for thing, mask, extent, said, color in zip(things, masks, extents, words, colors, strict=True):
+            kind = _kind(thing, mask, extent, parts, sure)
+            score = mask_score(mask, kind, bool(said.word[0]), frame.rig.color, self._offline)
+            found = captioned(mask, kind, _form(thing, parts), extent, said, color)
+            out.append(dataclasses.replace(found, score=score))
+        return tuple(out)
 
     def _left(self, parts: Parts, found: Sequence[Thing], scale: int) -> list[Thing]:
         """Regions that no box took. scale: colour pixels to a working pixel."""
@@ -140,12 +145,27 @@ def _word_of_box(box: Box | None, mask: Mask, extent: float) -> Word:
     return (EVERYDAY.get(box.label, box.label), box.score) if fits(box.label, extent) else ("", 0.0)
 
 
-def _kind(thing: Thing, mask: Mask, parts: Parts, sure: int) -> MaskKind:
-    """sure: pixels from which on what stands on something, or was split off, is believed to be a thing of its own."""
-    if thing.box:
+def _kind(thing: Thing, mask: Mask, extent: float, parts: Parts, sure: int) -> MaskKind:
+    """A box whose word fits neither the mask nor its size was about something else.
+
+    sure: pixels from which on what stands on something, or was split off, is believed to be a thing of its own."""
+    if _word_of_box(thing.box, mask, extent)[0]:
         return "object"
-    stands = thing.regions[0] > parts.pieces or thing.regions[0] in parts.on
+    stands = thing.box is None and (thing.regions[0] > parts.pieces or thing.regions[0] in parts.on)
     return "support" if stands and mask.area >= sure else "region"
+
+
+def mask_score(mask: Mask, kind: MaskKind, named: bool, camera: Intrinsics, offline: OfflineParameters) -> float:
+    """How likely a mask is a whole thing: most where a detector found it, little where it is a small nameless region,
+    least where the picture's edge cuts that."""
+    if kind != "region" or named:
+        return WHOLE if kind == "object" else SCORE
+    scale = working_step(camera) ** 2
+    x0, y0, x1, y1 = mask.box
+    at_edge = x0 == 0 or y0 == 0 or x1 == camera.width or y1 == camera.height
+    if at_edge and mask.area < offline.edge_pixels * scale:
+        return CUT_OFF
+    return SMALL if mask.area < offline.small_pixels * scale else SCORE
 
 
 def _form(thing: Thing, parts: Parts) -> Form:
@@ -168,7 +188,6 @@ def captioned(mask: Mask, kind: MaskKind, form: Form, extent: float, said: Words
         others = (*others, *((guess, GUESS) for guess in guesses(form, kind, extent)))
     return dataclasses.replace(
         mask,
-        score=SCORE,
         label=noun or form.thing,
         caption=Form("", noun, "").caption(color) if noun else form.caption(color),
         caption_score=score,

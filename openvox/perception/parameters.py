@@ -65,6 +65,18 @@ class OfflineParameters:
         100, "px", 1, 100_000, why="smaller things on a support are too far to contradict others: they count as regions"
     )
     min_pixels: int = parameter(50, "px", 1, 100_000, why="smaller things on a top, or patches, are mostly noise")
+    small_pixels: int = parameter(250, "px", 0, 1_000_000, why="smaller nameless regions are often pieces: less sure")
+    edge_pixels: int = parameter(
+        1000, "px", 0, 1_000_000, why="smaller nameless regions that the picture's edge cuts are mostly pieces"
+    )
+    stem_pixels: int = parameter(
+        40,
+        "px",
+        1,
+        100_000,
+        needs="geometry.residue",
+        why="smaller left-overs are noise; from here on they may be legs",
+    )
     patch_ground: int = parameter(2500, "px", 1, 1_000_000, why="smaller surfaces hold no patches")
     word_sure: float = parameter(0.5, "score", 0.0, 1.0, why="from here on a detector's word is taken")
     word_likely: float = parameter(0.4, "score", 0.0, 1.0, why="or from here on, if the classifier has none")

@@ -9,14 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openvox.core.types import Frame
+from openvox.perception.bodies import bodies_of
 from openvox.perception.geometry import smooth
+from openvox.perception.joined import joined
 from openvox.perception.parameters import GeometryParameters, OfflineParameters
 from openvox.perception.patches import tops, with_patches
 from openvox.perception.planes import Room
 from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_pixels_of, depth_at_color_pixels
 from openvox.perception.segments import Labels, planes_at, segments
-from openvox.perception.stems import joined_on_stems
-from openvox.perception.supports import bearers, split_supports
+from openvox.perception.supports import bearers, free_standing, split_supports
 from openvox.perception.surface import Flags, Floats, Surface, depth_in_metres, surface
 from openvox.perception.wording import Form, forms
 
@@ -26,7 +27,8 @@ class Parts:
     """Regions of a frame, numbered from 1: pieces up to `pieces`, the rest split off what they stand or hang on.
 
     labels, background (the room's planes), z (metres, 0 = unknown): (height, width) in colour pixels. depths: of each
-    region, the median of z. form: of each region that depth knows, the words for it."""
+    region, the median of z. form: of each region that depth knows, the words for it. on: of each region that stands on
+    something, the number of that, or FLOOR."""
 
     labels: Labels
     background: Flags
@@ -45,12 +47,14 @@ def parted(
     seen = surface(frame.depth, frame.rig.depth, geometry.near, geometry.far)
     planes = planes_at(seen, room, pose)
     lab = None if rgb is None else _lab(frame, seen, rgb)
-    labels = joined_on_stems(segments(seen, planes > 0, geometry), seen, room, pose, geometry)
+    labels, solid = segments(seen, planes > 0, geometry, offline.stem_pixels)
+    labels = joined(labels, solid, seen, room, pose, geometry)
     if lab is not None:
         labels = with_patches(labels, tops(labels, seen, room.up_in(pose)), lab, offline)
     pieces = int(labels.max())
     labels = split_supports(labels, seen, room, pose, geometry, offline)
-    on = bearers(labels, seen, room, pose, geometry, offline)
+    bodies = bodies_of(labels, seen, room, pose, geometry)
+    on = free_standing(bodies, labels, room, offline) | bearers(bodies, offline)
     if lab is not None:
         labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1

@@ -22,15 +22,19 @@ SMALL_SMOOTH = 0.4
 """Share of the border that must be smooth for a small piece to join."""
 
 
-def segments(surface: Surface, background: Flags, parameters: GeometryParameters) -> Labels:
-    """Pieces of what is not background, numbered from 1."""
+def segments(
+    surface: Surface, background: Flags, parameters: GeometryParameters, least: int | None = None
+) -> tuple[Labels, int]:
+    """Pieces of what is not background, numbered from 1, and their number; higher labels are left-overs.
+
+    least: pixels of a left-over, by default those of a region."""
     foreground = surface.valid & ~background
     labels = _seeds(foreground & ~_cuts(surface, parameters), parameters.piece_pixels)
     labels = _grown(labels, foreground, surface.points[2])
     labels = _merged(labels, surface, parameters)
-    if parameters.residue:
-        labels = _with_residue(labels, foreground, surface.points[2], parameters)
-    return labels
+    if not parameters.residue:
+        return labels, int(labels.max())
+    return _with_residue(labels, foreground, surface.points[2], parameters, least or parameters.residue_pixels)
 
 
 def background_of(surface: Surface, room: Room, world_from_depth: Pose) -> Flags:
@@ -178,7 +182,9 @@ def join(parent: list[int], a: int, b: int) -> None:
     parent[high] = low
 
 
-def _with_residue(labels: Labels, foreground: Flags, z: Floats, parameters: GeometryParameters) -> Labels:
+def _with_residue(
+    labels: Labels, foreground: Flags, z: Floats, parameters: GeometryParameters, least: int
+) -> tuple[Labels, int]:
     """Also what was too torn for pieces (foliage, thin legs): left-over foreground between jumps in depth."""
     import cv2
 
@@ -195,5 +201,6 @@ def _with_residue(labels: Labels, foreground: Flags, z: Floats, parameters: Geom
     around = np.ones((3, 3), np.uint8)
     loose = np.asarray(cv2.dilate((rest & ~edges).astype(np.uint8), around), np.uint8) * rest
     kept = renumbered(labels, ~small)
-    residue = components(loose, 8, parameters.residue_pixels)
-    return np.where(residue > 0, residue + int(kept.max()), kept).astype(np.int32)
+    residue = components(loose, 8, least)
+    pieces = int(kept.max())
+    return np.where(residue > 0, residue + pieces, kept).astype(np.int32), pieces

@@ -5,17 +5,13 @@ The reverse of what stands on a broad top (see supports): what is top-heavy woul
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from openvox.core.types import Pose
-from openvox.perception.parameters import GeometryParameters
-from openvox.perception.planes import Room
-from openvox.perception.segments import Labels, join, renumbered, root
-from openvox.perception.supports import LOWEST, Body, body_of, pixels_of, within_outline
-from openvox.perception.surface import Surface
+from openvox.perception.bodies import Body, Points
 
-Points = NDArray[np.float64]
 TOUCH = 0.05
 """m, beyond the noise: so near the end of a stem is to what it bears."""
 END = 0.03
@@ -24,35 +20,31 @@ TOUCHING = 0.3
 """Of the end of a stem that must be near what it bears: one side of it is seen."""
 UNDER = 0.7
 """Of a stem that must lie under what it bears."""
+THIN = 0.12
+"""m, beyond the noise: the largest extent of a pole or leg."""
 
 
-def joined_on_stems(labels: Labels, surface: Surface, room: Room, pose: Pose, geometry: GeometryParameters) -> Labels:
-    """The labels with every stem joined to the largest segment that it bears."""
-    bodies = [body_of(pixels, surface, room, pose, geometry) for pixels in pixels_of(labels)]
-    levels = [np.percentile(body.height, (LOWEST, 50, 100 - LOWEST)).tolist() for body in bodies]
-    parent = list(range(len(bodies) + 1))
+def stems(bodies: Sequence[Body], scraps: Sequence[bool]) -> Iterator[tuple[int, int]]:
+    """Each stem with the largest segment that it bears, as positions in `bodies`.
+
+    scraps: which are too small to be segments of their own; of these only what is thin and upright is a stem."""
     by_size = sorted(range(len(bodies)), key=lambda i: (-len(bodies[i].height), i))
     for stem, body in enumerate(bodies):
-        reach = TOUCH + float(np.median(body.noise))
-        _, middle, high = levels[stem]
+        reach = TOUCH + body.slack
+        low, middle, high = body.levels
+        if scraps[stem] and body.width > min(THIN + body.slack, high - low):
+            continue
         for crown in by_size:
-            low, its_middle, _ = levels[crown]
-            above = low - reach < high < its_middle and middle < low + reach
-            if above and crown != stem and _bears(body, high, bodies[crown], room, reach):
-                join(parent, stem + 1, crown + 1)
+            its_low, its_middle, _ = bodies[crown].levels
+            above = its_low - reach < high < its_middle and middle < its_low + reach
+            if above and crown != stem and _bears(body, high, bodies[crown], reach):
+                yield stem, crown
                 break
-    table = np.array([root(parent, i) for i in range(len(parent))], np.int32)
-    roots = table == np.arange(len(parent))
-    roots[0] = False
-    return renumbered(table[labels], roots)
 
 
-def _bears(stem: Body, high: float, crown: Body, room: Room, reach: float) -> bool:
+def _bears(stem: Body, high: float, crown: Body, reach: float) -> bool:
     """Whether a stem lies under a crown and its end touches it."""
-    points = np.concatenate([crown.points, stem.points], 1)
-    count = len(crown.height)
-    under = within_outline(points, np.arange(points.shape[1]) < count, np.array(room.up), reach)[count:]
-    if int(under.sum()) < UNDER * len(under):
+    if stem.share_within(crown, margin=reach) < UNDER:
         return False
     return _near(stem.points[:, stem.height > high - END], crown.points, reach) >= TOUCHING
 
