@@ -19,7 +19,7 @@ from openvox.mapper.frameset import BITS, FrameSet
 from openvox.mapper.life import Life
 
 Arrays = Mapping[str, NDArray[Any]]
-VERSION = 3
+VERSION = 4
 
 
 def fragment_arrays(fragments: Mapping[int, Fragment], dimensions: int) -> dict[str, NDArray[Any]]:
