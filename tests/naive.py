@@ -347,12 +347,17 @@ class Twin:
                 if {a, b} & supports:
                     amount *= 2
                 if {a, b} <= regions or {a, b} <= supports:  # may be pieces of one thing
-                    amount = int(only_regions)
+                    amount = int(only_regions or self.differ_in_color(masks[a], masks[b]))
                 for s, r in ((a, b), (b, a)):
                     if s in supports and r in regions and len(areas[r]) < len(areas[s]):  # it cannot bear it
                         amount = 0
                 amounts.append(amount)
             self.count(self.apart, (f, g), max(amounts))
+
+    def differ_in_color(self, a: Mask, b: Mask) -> bool:
+        """Both captions say a colour, and none that the other says. Only for captions without a place."""
+        first, second = (set(mask.caption.split()) & {"red", "green", "blue"} for mask in (a, b))
+        return self.p.lifecycle.colors and bool(first and second) and not first & second
 
     def count_omissions(
         self, masks: Sequence[Mask], areas: Mapping[int, set[Pixel]], view: View, choices: Sequence[Choice]

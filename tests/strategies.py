@@ -83,7 +83,7 @@ def masks(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> Mask:
     return Mask.from_bitmap(
         bitmap,
         score=draw(st.sampled_from([0.3, 0.9, 1.0])),
-        caption=draw(st.sampled_from(["", "a chair", "a box"])),
+        caption=draw(st.sampled_from(["", "a chair", "a red box", "a red and green chair", "a green box"])),
         caption_score=draw(st.sampled_from([0.0, 0.5, 1.0])),
         named=draw(st.booleans()),
         alternatives=tuple(draw(st.lists(st.sampled_from(ALTERNATIVES), max_size=2))),

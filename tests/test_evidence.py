@@ -95,7 +95,9 @@ def test_clusters_kept_frame_by_frame_equal_those_of_all_evidence(
 # Evidence by kind of mask
 
 
-def counted(kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000) -> Evidence:
+def counted(
+    kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000, captions: tuple[str, ...] = ("", "", "")
+) -> Evidence:
     """Evidence after one frame: masks side by side of these kinds hold these fragments, each in `pixels` pixels."""
     evidence = Evidence(LifecycleParameters())
     fragments = sorted(set().union(*held))
@@ -105,7 +107,7 @@ def counted(kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000) -> 
     for m, (kind, group) in enumerate(zip(kinds, held, strict=True)):
         bitmap = np.zeros((10, 100_000), np.bool_)
         bitmap[m, : pixels * len(group)] = True
-        masks.append(Mask.from_bitmap(bitmap, kind=kind))
+        masks.append(Mask.from_bitmap(bitmap, kind=kind, caption=captions[m]))
         found.append(Association(m, 10 * len(group), held=group))
         overlap[m, [fragments.index(f) for f in group]] = 10
     nesting = Nesting(masks, 0.7)
@@ -127,6 +129,21 @@ def counted(kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000) -> 
 )
 def test_masks_side_by_side_contradict_each_other_as_their_kinds_know(kinds: list[MaskKind], apart: int) -> None:
     evidence = counted(kinds, [{i + 1} for i in range(len(kinds))])
+    assert evidence.apart.get((1, 2), 0) == apart
+
+
+@pytest.mark.parametrize(
+    ("captions", "apart"),
+    [
+        (("a red object", "a large green sofa"), 1),
+        (("a red object on a green table", "a green sofa"), 1),  # of the table nothing is said
+        (("a red and green object", "a green sofa"), 0),
+        (("a red object", "a sofa"), 0),
+    ],
+)
+@pytest.mark.parametrize("kind", ["region", "support"])
+def test_of_pieces_of_one_thing_the_captions_share_a_colour(kind: MaskKind, captions: tuple[str, str], apart: int):
+    evidence = counted([kind, kind, "object"], [{1}, {2}, {3}], captions=(*captions, ""))
     assert evidence.apart.get((1, 2), 0) == apart
 
 

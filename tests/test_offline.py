@@ -14,6 +14,7 @@ from openvox.apps.perceive import perceive
 from openvox.core.types import Frame, Intrinsics, Mask, Pose, Rig
 from openvox.formats.detections import Box
 from openvox.formats.perception import read_masks
+from openvox.perception.bodies import bodies_of
 from openvox.perception.claims import claims
 from openvox.perception.det.boxes import Letterbox, letterboxed, suppressed
 from openvox.perception.joined import joined
@@ -28,6 +29,7 @@ from openvox.perception.segments import background_of, segments
 from openvox.perception.sizes import SIZE_OF, SIZES, extent_of, fits
 from openvox.perception.supports import FLOOR as ON_FLOOR
 from openvox.perception.surface import surface
+from openvox.perception.trim import trim
 from openvox.perception.wording import Form
 
 CAMERA = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
@@ -213,6 +215,34 @@ def test_a_left_over_too_small_for_a_region_stays_only_as_a_pole_of_what_it_bear
     seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
     out = joined(truth, 1, seen, FLOOR, frame.world_from_depth, GEOMETRY)  # 2 to 4 are left-overs
     assert np.array_equal(out, np.where(truth <= 2, truth > 0, 0))
+
+
+ROOM = Room((0.0, 0.0, 1.0), (*FLOOR.planes, Plane((0.0, -1.0, 0.0), -2.6)))
+"""With a wall at y = 2.6."""
+WALL = Solid(9, 1, (-4.0, 2.6, 0.0), (4.0, 2.8, 3.0), (200, 200, 200))
+
+
+@pytest.mark.parametrize(
+    ("solids", "is_trim"),
+    [
+        ([((-0.7, 2.5, 0.8), (0.7, 2.6, 0.9))], True),  # a sill
+        ([((-0.7, 2.56, z), (0.7, 2.6, z + 0.08)) for z in (0.6, 1.4)]
+         + [((x, 2.56, 0.6), (x + 0.08, 2.6, 1.48)) for x in (-0.7, 0.62)], True),  # a frame
+        ([((-0.7, 2.3, 0.8), (0.7, 2.6, 0.83))], False),  # a shelf
+        ([((-0.7, 2.5, 0.6), (0.7, 2.6, 1.2))], False),  # a radiator
+        ([((-0.1, 2.52, 0.8), (0.1, 2.6, 0.95))], False),  # a clock
+        ([((-0.7, 1.9, 0.8), (0.7, 2.0, 0.9))], False),  # not at the wall
+    ],
+)  # fmt: skip
+def test_sills_and_frames_are_part_of_the_room(solids, is_trim):
+    frame = photograph(WALL, *(Solid(2, 9, low, high, (250, 250, 250)) for low, high in solids), eye=(0.0, 0.4, 1.2))
+    seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
+    thing = (frame.truth_instances == 2).astype(np.int32)[:: seen.step, :: seen.step]
+    bodies = bodies_of(thing, seen, ROOM, frame.world_from_depth, GEOMETRY)
+    assert trim(bodies, ROOM, 60) == [1] * is_trim
+    in_region = Offline(GEOMETRY, OFFLINE, ROOM)(frame, ())
+    covered = [overlap(mask.bitmap(240, 320), frame.truth_instances == 2) for mask in in_region]
+    assert (max(covered, default=0) > 0.5) is not is_trim
 
 
 def bookcase(width: float, depth: float = 0.3, upper_depth: float = 0.3) -> list[Solid]:

@@ -203,6 +203,13 @@ class LifecycleParameters:
         why="evidence by kind of mask: two regions contradict each other half, or not at all where the frame has other masks; "
         "what stands on a support twice; a detector's mask joins threefold where the frame has regions too",
     )
+    colors: bool = parameter(
+        True,
+        "",
+        needs="lifecycle.kinds",
+        why="two regions, or two that stand on something, whose captions share no colour contradict each other half: "
+        "pieces of one thing are mostly of one colour",
+    )
     clear_pixels: int = parameter(
         1000,
         "px",
@@ -294,7 +301,7 @@ PAPER = MapperParameters(
     masks=replace(OPENVOX.masks, min_pixels=0, one_vote=False),
     association=replace(OPENVOX.association, containment=False),
     evolution=replace(OPENVOX.evolution, background=False, voxel_votes=False, abstention=False, near=0.0, cut=False),
-    lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False),
+    lifecycle=replace(OPENVOX.lifecycle, evidence=False, captions=False, kinds=False, colors=False),
     finish=replace(OPENVOX.finish, smoothing=0, rounds=0, existence=False, brief=False, holes=0.0),
 )
 OFFICIAL = replace(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import lru_cache
 
 _AFTER = re.compile(r"\s+(?:with|on|of(?! drawers)|in|at|under|beside|near|for|that|which)\s", re.IGNORECASE)
 """What follows the thing begins so."""
@@ -15,6 +16,8 @@ _BEFORE = re.compile(
 _HOW = {"full", "filled", "next", "made", "covered", "standing", "hanging", "sitting", "lying", "leaning", "mounted"}
 """Words that may stand between the thing and what follows it."""
 _IS = {"is", "are"}
+COLORS = ("black", "grey", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige")
+"""Words for colours, by which two things are told apart."""
 
 
 def words_of_thing(caption: str) -> list[str]:
@@ -27,6 +30,12 @@ def thing(caption: str) -> list[str]:
     words = words_of_thing(_BEFORE.sub("", " ".join(caption.split()).strip(" .")))
     end = next((i for i, word in enumerate(words) if i and word.lower() in _HOW | _IS), len(words))
     return words[:end]
+
+
+@lru_cache(4096)
+def colors_named(caption: str) -> frozenset[str]:
+    """The colours of the thing: white of "a white cup on a red table"."""
+    return frozenset(COLORS).intersection(word.lower() for word in thing(caption))
 
 
 def short_name(caption: str, length: int) -> str:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from openvox.core import fixedpoint
 from openvox.core.mapper_parameters import LifecycleParameters, MapperParameters
+from openvox.core.phrases import colors_named
 from openvox.core.types import Mask
 from openvox.mapper.associate import Association
 from openvox.mapper.engines.engine import common_pixels
@@ -112,6 +113,7 @@ def count_pairs(
 
     columns (f,) fragment ids; overlap (masks + 1, f)."""
     kinds = ["" if mask is None or not parameters.kinds else mask.kind for mask in masks]
+    colors = [colors_named(mask.caption) if mask and parameters.colors else frozenset[str]() for mask in masks]
     mixed = "region" in kinds  # else how clearly a thing is seen says nothing
     visible = _visible_pixels(masks, associations, columns, overlap) if mixed else {}
     holders: dict[int, list[int]] = {}
@@ -129,7 +131,7 @@ def count_pairs(
                 clear = {m: min(visible[m].get(f, 0), visible[m].get(g, 0)) >= parameters.clear_pixels for m in both}
                 evidence.add_together(f, g, max(_togetherness(kinds[m], clear[m]) for m in both))
                 continue
-            apart = max(_contradiction(a, b, masks, kinds, nesting) for a in holders[f] for b in holders[g])
+            apart = max(_contradiction(a, b, masks, kinds, colors, nesting) for a in holders[f] for b in holders[g])
             if apart:
                 evidence.add_apart(f, g, apart)
 
@@ -189,13 +191,22 @@ def count_omissions(
         evidence.add_apart(f, g, parameters.omission)
 
 
-def _contradiction(a: int, b: int, masks: Sequence[Mask | None], kinds: Sequence[str], nesting: Nesting) -> int:
+def _contradiction(
+    a: int,
+    b: int,
+    masks: Sequence[Mask | None],
+    kinds: Sequence[str],
+    colors: Sequence[frozenset[str]],
+    nesting: Nesting,
+) -> int:
     """How much two masks say that what they hold is two things: 2, half if nested, twice if one stands on a support.
 
-    Two regions, or two that stand on something, may be pieces of one thing: they say nothing where the frame has masks
-    that know better, else half. Nor does what stands on something beside a smaller region: that does not bear it."""
+    Two regions, or two that stand on something, may be pieces of one thing: they say half if they differ in colour or
+    the frame has no masks that know better, else nothing. Nor does what stands on something beside a smaller region:
+    that does not bear it."""
     if kinds[a] == kinds[b] and kinds[a] in ("region", "support"):
-        return 0 if "object" in kinds or "support" in kinds else 1
+        differ = colors[a] and colors[b] and not colors[a] & colors[b]
+        return 1 if differ or not {"object", "support"}.intersection(kinds) else 0
     small, large = sorted((a, b), key=lambda m: _area(masks[m]))
     if kinds[large] == "support" and kinds[small] == "region" and _area(masks[small]) < _area(masks[large]):
         return 0

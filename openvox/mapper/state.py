@@ -19,7 +19,7 @@ from openvox.mapper.frameset import BITS, FrameSet
 from openvox.mapper.life import Life
 
 Arrays = Mapping[str, NDArray[Any]]
-VERSION = 4
+VERSION = 5
 
 
 def fragment_arrays(fragments: Mapping[int, Fragment], dimensions: int) -> dict[str, NDArray[Any]]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from openvox.core.digest import digest_of
 from openvox.core.parameters import Value
+from openvox.core.phrases import COLORS
 from openvox.core.types import Frame, Mask
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
@@ -23,7 +24,7 @@ from openvox.perception.regions import at_color_pixels, at_depth_pixels
 from openvox.perception.segments import Labels, background_of, segments
 from openvox.perception.stage import stage_digest
 from openvox.perception.surface import depth_in_metres, surface, working_step
-from openvox.perception.wording import COLORS, color_of, color_words, forms
+from openvox.perception.wording import color_of, color_words, forms
 
 SCORE = 0.5
 """Of every region and its caption: as likely a piece as a whole thing."""

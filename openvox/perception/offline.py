@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from openvox.core.digest import digest_of
 from openvox.core.parameters import Value
+from openvox.core.phrases import COLORS
 from openvox.core.types import Frame, Intrinsics, Mask, MaskKind
 from openvox.formats.detections import Box
 from openvox.formats.images import decode_color
@@ -29,7 +30,7 @@ from openvox.perception.planes import Room
 from openvox.perception.sizes import extent_of, fits
 from openvox.perception.stage import stage_digest
 from openvox.perception.surface import working_step
-from openvox.perception.wording import COLORS, Form, color_of, color_words
+from openvox.perception.wording import Form, color_of, color_words
 
 AGREE = 0.5
 """IoU of a mask's box with the detector's: below it the word may be about something else."""
@@ -54,7 +55,7 @@ EVERYDAY = {
     "sports ball": "ball",
 }
 """The detector's words for what the classifier calls otherwise: votes for one thing must not be parted."""
-VERSION = 6
+VERSION = 7
 
 
 @dataclass(frozen=True, slots=True)

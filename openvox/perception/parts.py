@@ -19,6 +19,7 @@ from openvox.perception.regions import at_color_pixels, at_depth_pixels, color_p
 from openvox.perception.segments import Labels, planes_at, segments
 from openvox.perception.supports import bearers, free_standing, split_supports
 from openvox.perception.surface import Flags, Floats, Surface, depth_in_metres, surface
+from openvox.perception.trim import trim
 from openvox.perception.wording import Form, forms
 
 
@@ -55,6 +56,7 @@ def parted(
     labels = split_supports(labels, seen, room, pose, geometry, offline)
     bodies = bodies_of(labels, seen, room, pose, geometry)
     on = free_standing(bodies, labels, room, offline) | bearers(bodies, offline)
+    labels = np.where(np.isin(labels, trim(bodies, room, geometry.piece_pixels)), 0, labels).astype(np.int32)
     if lab is not None:
         labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1
@@ -76,7 +78,7 @@ def parted(
 def _walls(planes: NDArray[np.int8], room: Room) -> Iterator[Flags]:
     """Where each upright plane is: floors have patterns, walls have pictures."""
     for i, plane in enumerate(room.planes, 1):
-        if abs(sum(a * b for a, b in zip(plane.normal, room.up, strict=True))) < 0.3:
+        if plane in room.walls:
             yield planes == i
 
 

@@ -26,6 +26,8 @@ CELL = 0.04
 BIN = 0.02
 ANGLES = 72
 FACING = 0.95
+UPRIGHT = 0.3
+"""Cosine of a wall's normal with `up`, at most."""
 BEHIND = 0.10
 BEHIND_SHARE = 0.02
 SAMPLE = 6
@@ -51,6 +53,11 @@ class Room:
         """The plane that faces up, if one was found."""
         facing = [plane for plane in self.planes if _dot(plane.normal, self.up) > FACING]
         return facing[0] if facing else None
+
+    @property
+    def walls(self) -> tuple[Plane, ...]:
+        """The upright planes."""
+        return tuple(plane for plane in self.planes if abs(_dot(plane.normal, self.up)) < UPRIGHT)
 
     def up_in(self, pose: Pose) -> Floats:
         """(3,) `up` in the axes of a camera with that camera-to-world pose."""

@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from openvox.core.phrases import COLORS
 from openvox.core.types import Pose
 from openvox.perception.planes import Room, in_world, turned
 from openvox.perception.segments import Labels
 from openvox.perception.surface import Flags, Surface, dot, pair
 
-COLORS = ("black", "grey", "white", "red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "beige")
 SUPPORT_GAP = 4
 """Working pixels below a region where that on which it stands is looked for."""
 
@@ -112,8 +112,7 @@ def _place(points: NDArray[np.float64], thing: str, room: Room, supported: bool)
         return ("on the floor", "at knee height", "at table height", "high up")[band]
     if band is not None and (band == 0 or supported):
         return ("on the floor", "on a low surface", "on a table-high surface", "on a high surface")[band]
-    walls = (plane for plane in room.planes if abs(_along(np.array(plane.normal), room.up)) < 0.3)
-    if any(float(np.median(_along(points, wall.normal))) - wall.offset < 0.12 for wall in walls):
+    if any(float(np.median(_along(points, wall.normal))) - wall.offset < 0.12 for wall in room.walls):
         return "on the wall"
     return ""
 

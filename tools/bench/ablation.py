@@ -37,6 +37,7 @@ RULES = (
     "lifecycle.captions=false",
     "lifecycle.halving=0",
     "lifecycle.kinds=false",
+    "lifecycle.colors=false",
     "lifecycle.clear_pixels=0",
     "finish.smoothing=0",
     "finish.rounds=0",

@@ -1,0 +1,52 @@
+"""Trim of a room: sills, frames, skirting boards. Narrow strips along a wall, of whatever shape: parts of the room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openvox.perception.bodies import Body, along
+from openvox.perception.planes import Plane, Room
+
+RELIEF = 0.18
+"""m from the wall's plane that trim keeps within; a shelf with things on it stands out farther."""
+NARROW = 0.2
+"""m; wider things on a wall are cupboards, radiators, pictures."""
+LONG = 3
+"""Times its width that a strip is long at least: a clock is not."""
+CELL = 0.02
+"""m, edge of a cell of an outline seen from the room; finer ones would show gaps between pixels."""
+HIGHEST = 90
+"""Percent of a body's pixels that must be within the relief."""
+
+
+def trim(bodies: Sequence[Body], room: Room, least: int) -> list[int]:
+    """The numbers, from 1, of bodies of at least so many pixels that are trim of one of the room's walls."""
+    large = [(number, body) for number, body in enumerate(bodies, 1) if len(body.height) >= least]
+    return [number for number, body in large if any(_is_strip(body, wall) for wall in room.walls)]
+
+
+def _is_strip(body: Body, wall: Plane) -> bool:
+    """Whether a body keeps to a wall and is nowhere as wide as a third of its length."""
+    normal = np.array(wall.normal)
+    if float(np.percentile(along(body.points, normal), HIGHEST)) - wall.offset > RELIEF:
+        return False
+    width, length = _width_and_length(np.stack([along(body.points, np.cross(normal, body.up)), body.height], 1))
+    return width < NARROW and length > LONG * width
+
+
+def _width_and_length(points: NDArray[np.float64]) -> tuple[float, float]:
+    """Metres: where it is widest, the distance between its sides; and the length of the rectangle around it.
+
+    points (n, 2): seen from the room. A frame is as narrow as each of its four sides."""
+    import cv2
+
+    _, sides, _ = cv2.minAreaRect(points.astype(np.float32))
+    margin = 4  # cells, so that nothing touches the picture's edge
+    cells = np.minimum((points - points.min(0)) / CELL, 2000).astype(np.int64) + margin
+    picture = np.zeros(cells.max(0) + margin + 1, np.uint8)
+    picture[cells[:, 0], cells[:, 1]] = 1
+    closed = cv2.morphologyEx(picture, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    return 2 * CELL * float(cv2.distanceTransform(closed, cv2.DIST_L2, 5).max()), max(sides)
