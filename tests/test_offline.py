@@ -456,6 +456,14 @@ def test_what_stands_upright_and_has_no_word_may_be_a_picture_or_a_cabinet():
     assert list(guesses(replace(front, thing="object"), "region", 1.5)) == []
 
 
+def test_what_was_put_down_and_has_no_word_may_be_a_box():
+    put_down = Form("", "object", "on a low surface")
+    assert list(guesses(put_down, "support", 0.3)) == ["box"]
+    assert list(guesses(put_down, "region", 1.0)) == list(guesses(put_down, "region", 0.05)) == []
+    assert list(guesses(replace(put_down, place="on the wall"), "region", 0.3)) == []
+    assert list(guesses(replace(put_down, place=""), "region", 0.3)) == []  # nothing is seen under it
+
+
 def test_a_guess_is_an_alternative_of_a_mask_without_a_word():
     mask, form = Mask.from_bitmap(np.ones((4, 4), np.bool_)), Form("", "vertical surface", "on the wall")
     unnamed = captioned(mask, "support", form, 0.5, Words(), "red")

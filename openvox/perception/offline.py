@@ -45,6 +45,8 @@ GUESS = 0.1
 """What a guess from the form alone counts: too little for a name."""
 PICTURE_SIZE = 0.12, 1.6
 """Metres: larger ones are windows and doors."""
+BOX_SIZE = 0.12, 0.6
+"""Metres: what stands somewhere and is no larger may be put there, as boxes are."""
 EVERYDAY = {
     "couch": "sofa",
     "tv": "television",
@@ -55,7 +57,7 @@ EVERYDAY = {
     "sports ball": "ball",
 }
 """The detector's words for what the classifier calls otherwise: votes for one thing must not be parted."""
-VERSION = 7
+VERSION = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +176,9 @@ def _form(thing: Thing, parts: Parts) -> Form:
 
 
 def guesses(form: Form, kind: MaskKind, extent: float) -> Iterator[str]:
-    """What stands upright and has no word may be what no model knows: a picture (or window), the front of a cabinet."""
+    """What has no word may be what no model knows: a picture (or window), the front of a cabinet, some box."""
+    if form.thing == "object" and form.place not in ("", "on the wall") and BOX_SIZE[0] < extent < BOX_SIZE[1]:
+        yield "box"
     if form.thing == "vertical surface":
         if form.place != "on the wall" and form.size == "large":
             yield "cabinet"
