@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from openvox.mapper.mapper import Mapper
     from openvox.perception.encoder import encoder
 
-__version__ = "0.5.0"
+__version__ = "0.6.0"
 _MODULES = {
     "openvox.apps.live": ("live",),
     "openvox.apps.query": ("query",),
