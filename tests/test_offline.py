@@ -232,6 +232,7 @@ WALL = Solid(9, 1, (-4.0, 2.6, 0.0), (4.0, 2.8, 3.0), (200, 200, 200))
         ([((-0.7, 2.5, 0.6), (0.7, 2.6, 1.2))], False),  # a radiator
         ([((-0.1, 2.52, 0.8), (0.1, 2.6, 0.95))], False),  # a clock
         ([((-0.7, 1.9, 0.8), (0.7, 2.0, 0.9))], False),  # not at the wall
+        ([((-0.7, 2.45, 1.5), (0.7, 2.6, 2.4))], False),  # a cupboard of which the picture shows the lowest part
     ],
 )  # fmt: skip
 def test_sills_and_frames_are_part_of_the_room(solids, is_trim):
@@ -239,7 +240,7 @@ def test_sills_and_frames_are_part_of_the_room(solids, is_trim):
     seen = surface(frame.depth, CAMERA, GEOMETRY.near, GEOMETRY.far)
     thing = (frame.truth_instances == 2).astype(np.int32)[:: seen.step, :: seen.step]
     bodies = bodies_of(thing, seen, ROOM, frame.world_from_depth, GEOMETRY)
-    assert trim(bodies, ROOM, 60) == [1] * is_trim
+    assert trim(bodies, thing, ROOM, 60) == [1] * is_trim
     in_region = Offline(GEOMETRY, OFFLINE, ROOM)(frame, ())
     covered = [overlap(mask.bitmap(240, 320), frame.truth_instances == 2) for mask in in_region]
     assert (max(covered, default=0) > 0.5) is not is_trim

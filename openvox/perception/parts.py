@@ -56,7 +56,7 @@ def parted(
     labels = split_supports(labels, seen, room, pose, geometry, offline)
     bodies = bodies_of(labels, seen, room, pose, geometry)
     on = free_standing(bodies, labels, room, offline) | bearers(bodies, offline)
-    labels = np.where(np.isin(labels, trim(bodies, room, geometry.piece_pixels)), 0, labels).astype(np.int32)
+    labels = np.where(np.isin(labels, trim(bodies, labels, room, geometry.piece_pixels)), 0, labels).astype(np.int32)
     if lab is not None:
         labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1

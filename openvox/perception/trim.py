@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from openvox.perception.bodies import Body, along
 from openvox.perception.planes import Plane, Room
+from openvox.perception.segments import Labels
 
 RELIEF = 0.18
 """m from the wall's plane that trim keeps within; a shelf with things on it stands out farther."""
@@ -22,10 +23,15 @@ HIGHEST = 90
 """Percent of a body's pixels that must be within the relief."""
 
 
-def trim(bodies: Sequence[Body], room: Room, least: int) -> list[int]:
-    """The numbers, from 1, of bodies of at least so many pixels that are trim of one of the room's walls."""
-    large = [(number, body) for number, body in enumerate(bodies, 1) if len(body.height) >= least]
-    return [number for number, body in large if any(_is_strip(body, wall) for wall in room.walls)]
+def trim(bodies: Sequence[Body], labels: Labels, room: Room, least: int) -> list[int]:
+    """The labels of bodies of at least so many pixels that are trim of one of the room's walls.
+
+    What the picture's edge cuts lengthways may be wider than it seems, as a cupboard of which the lowest part is seen:
+    the strip's cut is then longer than the root of its area."""
+    rim = np.concatenate([labels[0], labels[-1], labels[1:-1, 0], labels[1:-1, -1]])
+    cut = np.bincount(rim, minlength=len(bodies) + 1).tolist()
+    seen = [n for n, body in enumerate(bodies, 1) if len(body.height) >= max(least, cut[n] ** 2)]
+    return [n for n in seen if any(_is_strip(bodies[n - 1], wall) for wall in room.walls)]
 
 
 def _is_strip(body: Body, wall: Plane) -> bool:
