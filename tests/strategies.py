@@ -98,10 +98,14 @@ def halves(draw: st.DrawFn, camera: Intrinsics, dimensions: int) -> tuple[Mask, 
     u0, v0, margin = draw(st.integers(0, 2)), draw(st.integers(0, 2)), draw(st.integers(0, 2))
     whole = rectangle(u0, v0, camera.width - margin, camera.height - margin, camera)
     whole = replace(whole, embedding=draw(masks(camera, dimensions)).embedding, kind=draw(st.sampled_from(MASK_KINDS)))
+    captions = draw(st.sampled_from([("", ""), ("a red box", "a green box"), ("a red box", "a red and green chair")]))
     bitmap, column = whole.bitmap(camera.height, camera.width), draw(st.sampled_from([6, 4, 8]))
     right = np.arange(camera.width) >= column
     kind = draw(st.sampled_from(("object", *MASK_KINDS)))
-    parts = (Mask.from_bitmap(bitmap & side, kind=kind, embedding=whole.embedding) for side in (~right, right))
+    parts = (
+        Mask.from_bitmap(bitmap & side, kind=kind, embedding=whole.embedding, caption=caption)
+        for side, caption in zip((~right, right), captions, strict=True)
+    )
     return whole, *parts
 
 
@@ -190,9 +194,8 @@ def worlds(draw: st.DrawFn) -> World:
     known = draw(st.lists(masks(rig.color, dimensions), min_size=1, max_size=4))
     whole, left, right = draw(halves(rig.color, dimensions))
     others = st.lists(st.sampled_from([*known, whole, left, right]), max_size=5).map(tuple)
-    story: list[Masks] = draw(
-        st.sampled_from([[(whole,), (left, right)], [(left, right), (whole,)], [(whole,), (left, right), (whole,)], []])
-    )
+    parts = draw(st.sampled_from([(left, right), (left, right, known[0])]))
+    story: list[Masks] = draw(st.sampled_from([[(whole,), parts], [parts, (whole,)], [(whole,), parts, (whole,)], []]))
     story = story + draw(st.lists(st.one_of(others, st.none()), min_size=0 if story else 1, max_size=3))
     scenes = draw(st.lists(st.tuples(depths(), poses()), min_size=1, max_size=2))
     scenes = [scenes[0], *scenes]

@@ -47,7 +47,11 @@ def assert_engine_is_naive(
     for frame, masks in frames:
         expected = twin.step(frame, masks)
         assert mapper.step(frame, masks).decisions == expected
-    assert_equal_maps(mapper.finish(), twin.finish())
+    result = mapper.finish()
+    assert_equal_maps(result, twin.finish())
+    for name, counts in (("together", twin.together), ("apart", twin.apart)):
+        found = {(f, g): n for f, g, n in result.state[name].tolist() if n}
+        assert found == {both: n for both, n in counts.items() if n}, name
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

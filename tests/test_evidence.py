@@ -95,8 +95,15 @@ def test_clusters_kept_frame_by_frame_equal_those_of_all_evidence(
 # Evidence by kind of mask
 
 
+LIFECYCLE = LifecycleParameters()
+
+
 def counted(
-    kinds: list[MaskKind], held: list[set[int]], pixels: int = 2000, captions: tuple[str, ...] = ("", "", "")
+    kinds: list[MaskKind],
+    held: list[set[int]],
+    pixels: int = 2000,
+    captions: tuple[str, ...] = ("", "", ""),
+    parameters: LifecycleParameters = LIFECYCLE,
 ) -> Evidence:
     """Evidence after one frame: masks side by side of these kinds hold these fragments, each in `pixels` pixels."""
     evidence = Evidence(LifecycleParameters())
@@ -111,7 +118,7 @@ def counted(
         found.append(Association(m, 10 * len(group), held=group))
         overlap[m, [fragments.index(f) for f in group]] = 10
     nesting = Nesting(masks, 0.7)
-    count_pairs(masks, found, np.array(fragments, np.int32), overlap, nesting, evidence, LifecycleParameters())
+    count_pairs(masks, found, np.array(fragments, np.int32), overlap, nesting, evidence, parameters)
     return evidence
 
 
@@ -145,6 +152,9 @@ def test_masks_side_by_side_contradict_each_other_as_their_kinds_know(kinds: lis
 def test_of_pieces_of_one_thing_the_captions_share_a_colour(kind: MaskKind, captions: tuple[str, str], apart: int):
     evidence = counted([kind, kind, "object"], [{1}, {2}, {3}], captions=(*captions, ""))
     assert evidence.apart.get((1, 2), 0) == apart
+    blind = LifecycleParameters(colors=False)
+    without = counted([kind, kind, "object"], [{1}, {2}, {3}], captions=(*captions, ""), parameters=blind)
+    assert (1, 2) not in without.apart
 
 
 def test_what_stands_on_something_says_nothing_of_a_smaller_region_as_that_does_not_bear_it():

@@ -229,9 +229,10 @@ WALL = Solid(9, 1, (-4.0, 2.6, 0.0), (4.0, 2.8, 3.0), (200, 200, 200))
         ([((-0.7, 2.56, z), (0.7, 2.6, z + 0.08)) for z in (0.6, 1.4)]
          + [((x, 2.56, 0.6), (x + 0.08, 2.6, 1.48)) for x in (-0.7, 0.62)], True),  # a frame
         ([((-0.7, 2.3, 0.8), (0.7, 2.6, 0.83))], False),  # a shelf
-        ([((-0.7, 2.5, 0.6), (0.7, 2.6, 1.2))], False),  # a radiator
+        ([((-1.3, 2.5, 0.9), (1.3, 2.6, 1.25))], False),  # a radiator
         ([((-0.1, 2.52, 0.8), (0.1, 2.6, 0.95))], False),  # a clock
         ([((-0.7, 1.9, 0.8), (0.7, 2.0, 0.9))], False),  # not at the wall
+        ([((-0.7, 2.44, 0.8), (0.7, 2.47, 0.9))], False),  # before it, as a rail that is nowhere at the wall
         ([((-0.7, 2.45, 1.5), (0.7, 2.6, 2.4))], False),  # a cupboard of which the picture shows the lowest part
     ],
 )  # fmt: skip
@@ -241,9 +242,31 @@ def test_sills_and_frames_are_part_of_the_room(solids, is_trim):
     thing = (frame.truth_instances == 2).astype(np.int32)[:: seen.step, :: seen.step]
     bodies = bodies_of(thing, seen, ROOM, frame.world_from_depth, GEOMETRY)
     assert trim(bodies, thing, ROOM, 60) == [1] * is_trim
-    in_region = Offline(GEOMETRY, OFFLINE, ROOM)(frame, ())
-    covered = [overlap(mask.bitmap(240, 320), frame.truth_instances == 2) for mask in in_region]
+    assert trim(bodies, thing, FLOOR, 60) == trim(bodies, thing, ROOM, len(bodies[0].height) + 1) == []
+    behind = Room(ROOM.up, (*FLOOR.planes, Plane((0.0, -1.0, 0.0), -1.6)))
+    assert trim(bodies, thing, behind, 60) == []  # what is behind a wall is none of its trim
+    covered = [overlap(mask.bitmap(240, 320), frame.truth_instances == 2) for mask in masks_in(ROOM, frame)]
     assert (max(covered, default=0) > 0.5) is not is_trim
+
+
+def masks_in(room: Room, frame: Frame) -> tuple[Mask, ...]:
+    return Offline(GEOMETRY, OFFLINE, room)(frame, ())
+
+
+def test_a_narrow_thing_on_furniture_at_the_wall_is_no_trim():
+    sideboard = Solid(1, 7, (-0.8, 2.1, 0.0), (0.8, 2.6, 0.75), (120, 80, 40))
+    bottle = Solid(2, 7, (0.0, 2.48, 0.75), (0.08, 2.56, 1.05), (20, 120, 20))
+    frame = photograph(WALL, sideboard, bottle, eye=(0.0, 0.4, 1.2))
+    covered = [overlap(mask.bitmap(240, 320), frame.truth_instances == 2) for mask in masks_in(ROOM, frame)]
+    assert max(covered) > 0.7
+
+
+def test_a_poster_beside_a_sill_is_still_a_thing_on_the_wall():
+    sill = Solid(2, 9, (-0.7, 2.5, 0.6), (0.7, 2.6, 0.7), (250, 250, 250))
+    poster = Solid(3, 11, (-0.3, 2.597, 0.9), (0.3, 2.6, 1.3), (20, 60, 200))
+    frame = photograph(WALL, sill, poster, eye=(0.0, 0.4, 1.2))
+    found = {mask.kind: overlap(mask.bitmap(240, 320), frame.truth_instances == 3) for mask in masks_in(ROOM, frame)}
+    assert found["support"] > 0.7
 
 
 def bookcase(width: float, depth: float = 0.3, upper_depth: float = 0.3) -> list[Solid]:

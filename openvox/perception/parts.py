@@ -56,11 +56,12 @@ def parted(
     labels = split_supports(labels, seen, room, pose, geometry, offline)
     bodies = bodies_of(labels, seen, room, pose, geometry)
     on = free_standing(bodies, labels, room, offline) | bearers(bodies, offline)
-    labels = np.where(np.isin(labels, trim(bodies, labels, room, geometry.piece_pixels)), 0, labels).astype(np.int32)
+    strips = [n for n in trim(bodies, labels, room, geometry.piece_pixels) if n <= pieces and n not in on]
     if lab is not None:
         labels = with_patches(labels, _walls(planes, room), lab, offline)
     ground = int(labels.max()) + 1
-    marked = np.where((labels == 0) & (planes > 0), ground, labels).astype(np.int32)
+    of_room = np.isin(labels, strips) | ((labels == 0) & (planes > 0))
+    marked = np.where(of_room, ground, labels).astype(np.int32)
     marked = at_depth_pixels(marked, seen, depth_in_metres(frame.depth, geometry.near, geometry.far))
     marked = smooth(at_color_pixels(marked, frame.depth, frame.rig))
     background = marked == ground

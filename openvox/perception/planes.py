@@ -125,7 +125,7 @@ def _horizontal_directions(points: Points, normals: Points, up: Points, min_area
     """Peaks of the angles that upright surfaces face, strongest first."""
     east = _unit(np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0]))
     north = np.cross(up, east)
-    upright = normals[np.abs(_along(normals, up)) < 0.3]
+    upright = normals[np.abs(_along(normals, up)) < UPRIGHT]
     angle = np.arctan2(_along(upright, north), _along(upright, east))
     bins = np.floor(angle / (2 * math.pi) * ANGLES).astype(np.int64) % ANGLES
     count = np.bincount(bins, minlength=ANGLES)
