@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from openvox.core.errors import InputError, OutputError
-from openvox.formats.atomic import partial_file
+from openvox.formats.atomic import only_writer, partial_file
 
 
 def write(path: Path, text: str) -> None:
@@ -75,3 +75,23 @@ def test_a_device_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a device or a pipe, which would be replaced"):
         write(tmp_path / "pipe", "new")
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_a_second_writer_is_told_so_and_nothing_is_left(tmp_path: Path) -> None:
+    with only_writer(tmp_path / "a.txt"):
+        busy = pytest.raises(OutputError, match=r"a\.txt is being written by another openvox")
+        with busy, only_writer(tmp_path / "a.txt"):
+            pytest.fail("the block must not run")
+        with only_writer(tmp_path / "b.txt"):
+            pass
+    with only_writer(tmp_path / "a.txt"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_lock_of_a_killed_writer_keeps_nobody_out(tmp_path: Path) -> None:
+    (tmp_path / ".a.txt.lock").touch()
+    with only_writer(tmp_path / "a.txt"):
+        pass
+    with pytest.raises(OutputError, match="No such file or directory"), only_writer(tmp_path / "nowhere" / "a.txt"):
+        pytest.fail("the block must not run")

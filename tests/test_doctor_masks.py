@@ -78,11 +78,21 @@ def test_masks_over_edges_of_depth_are_counted(tmp_path: Path) -> None:
         return tuple(strips)
 
     path = perceived(tmp_path, spilling)
-    assert [" ".join(text.split()[2:6]) for text in said(path)] == ["48 masks lie over"]
+    assert [" ".join(text.split()[2:6]) for text in said(path)] == ["48 masks lie over", "48 masks fill their"]
     (tmp_path / "a.mcap").unlink()
     result = doctor(path)
-    assert result.findings == ()
+    assert [one.what.split()[3:6] for one in result.findings] == [["masks", "fill", "their"]]
     assert result.notes == ("its recording is not beside it, so that masks were not laid over depth",)
+
+
+def test_boxes_that_stand_in_for_masks_are_counted(tmp_path: Path) -> None:
+    def boxes(frame: Frame) -> tuple[Mask, ...]:
+        return tuple(
+            replace(mask, bits=np.packbits(np.ones((mask.box[3] - mask.box[1], mask.box[2] - mask.box[0]), np.bool_)))
+            for mask in good_masks(frame)
+        )
+
+    assert said(perceived(tmp_path, boxes)) == ["36 of 36 masks fill their"]
 
 
 @pytest.mark.parametrize("vectors_change", [True, False])

@@ -8,6 +8,7 @@ from typing import Any
 
 import graphs
 import numpy as np
+import onnx
 import pytest
 from worlds import tiny_frames
 
@@ -149,6 +150,15 @@ def test_ultralytics_columns_are_centres_sizes_and_classes(tmp_path):
     assert found(yolo(tmp_path)) == [(6, 18, 14, 22, 0.8, "chair"), (35, 35, 45, 45, 0.5, "cup")]
 
 
+def test_what_a_segmenter_would_make_masks_of_is_left_out(tmp_path):
+    rows = np.array([[*column(10, 20, 8, 4, 0.1, 0.8), *[9.0] * 32]]).T
+    detector = onnx.load(graphs.single_detector(tmp_path / "d.onnx", rows))
+    detector.graph.node.extend([graphs.constant("output1", np.zeros((1, 32, 16, 16)))])
+    detector.graph.output.extend([graphs._value("output1", [1, 32, 16, 16])])
+    onnx.save(detector, tmp_path / "d.onnx")
+    assert found(yolo(tmp_path)) == [(6, 18, 14, 22, 0.8, "chair")]
+
+
 def test_rows_of_six_are_corners_score_and_class_and_have_been_thinned_out_already(tmp_path):
     rows = [[1, 2, 30, 40, 0.9, 1], [1, 2, 30, 41, 0.8, 1], [0, 0, 0, 0, 0, 0]]
     graphs.single_detector(tmp_path / "d.onnx", rows)
@@ -257,7 +267,7 @@ def test_another_number_of_words_than_classes_is_a_sentence(tmp_path):
     with pytest.raises(InputError, match=r"expected 2 classes, as there are words, not 4; give the words it was"):
         yolo(tmp_path)
     graphs.looking_detector(tmp_path / "d.onnx", words=5)
-    with pytest.raises(InputError, match=r"outputs output0 float\[1,9,1\]; expected .* there are 2 words"):
+    with pytest.raises(InputError, match=r"output0 float\[1,9,1\]; .* for 5 words, and there are 2 words"):
         yolo(tmp_path)
 
 

@@ -509,6 +509,36 @@ def test_an_input_is_not_written_over(tmp_path, tiny):
         perceive(tiny, detections=own, out=own)
 
 
+def test_only_what_was_perceived_is_written_over(tmp_path, tiny):
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    other = record(tmp_path / "other.mcap", tiny_frames(2))
+    for path in (notes, other):
+        before = path.read_bytes()
+        with pytest.raises(OutputError, match=rf"{path.name} exists and is no perception file; name another"):
+            perceive(tiny, out=path, frontend="geometry")
+        assert path.read_bytes() == before
+    (tmp_path / "old.perception.mcap").write_bytes(b"damaged")
+    perceive(tiny, out=tmp_path / "old.perception.mcap", frontend="geometry")
+    perceive(tiny, out=tmp_path / "free.mcap", frontend="geometry")
+    assert perceive(tiny, out=tmp_path / "free.mcap", frontend="oracle").frames == 4
+
+
+def test_a_range_without_frames_is_a_sentence_whatever_the_cache_holds(tiny):
+    perceive(tiny, frontend="geometry")
+    for chosen in ({"start": 500}, {"start": 3, "end": 1}):
+        with pytest.raises(InputError, match=r"frames 0 to 3, none of which is asked for"):
+            perceive(tiny, frontend="geometry", **chosen)
+
+
+def test_a_folder_and_a_perception_file_are_no_recordings(tmp_path, tiny):
+    with pytest.raises(InputError, match=r"is a folder; make a recording of it first: openvox ingest"):
+        perceive(tmp_path)
+    written = perceive(tiny, frontend="geometry").output
+    with pytest.raises(InputError, match=r"is what was perceived in a recording; give the recording, tiny\.mcap"):
+        perceive(written)
+
+
 def test_a_recording_that_is_not_there_is_a_sentence(tmp_path):
     with pytest.raises(InputError, match=r"there is no file .*none.mcap"):
         perceive(tmp_path / "none.mcap", frontend="geometry")

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -11,6 +15,7 @@ from worlds import tiny_frames
 
 from openvox.apps.perceive import PerceiveResult, perceive
 from openvox.apps.perceive_several import perceive_several
+from openvox.apps.sweeping.pool import Outcome, death
 from openvox.core.errors import InputError
 
 
@@ -42,6 +47,50 @@ def test_each_recording_has_its_result_or_its_error_in_the_order_they_were_given
     ]
     alone = perceive(first, frontend="oracle", out=tmp_path / "alone.mcap")
     assert alone.output.read_bytes() == a.output.read_bytes()
+
+
+def test_a_process_that_died_is_told_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = [record(tmp_path / name, tiny_frames(2)) for name in ("a.mcap", "b.mcap")]
+
+    def died(function: object, tasks: list[Path], jobs: int) -> Iterator[Outcome[PerceiveResult]]:
+        yield Outcome(1, None, death(-9))
+        yield Outcome(0, None, f"{tasks[0]} is damaged")
+
+    monkeypatch.setattr("openvox.apps.perceive_several.in_processes", died)
+    assert perceive_several(paths).results == [
+        f"{paths[0]} is damaged",
+        f"{paths[1]}: its process died (signal 9); if the memory was short, do fewer at a time",
+    ]
+
+
+SLEEPERS = """
+import os, sys, time
+from openvox.apps.sweeping.pool import in_processes
+
+def sleep(path):
+    open(path, "w").write(str(os.getpid()))
+    time.sleep(60)
+
+if __name__ == "__main__":
+    list(in_processes(sleep, sys.argv[1:], 2))
+"""
+
+
+def test_processes_end_with_their_parent_even_if_it_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "sleepers.py").write_text(SLEEPERS)
+    notes = [tmp_path / "a", tmp_path / "b"]
+    parent = subprocess.Popen([sys.executable, tmp_path / "sleepers.py", *notes])
+    wait_for(lambda: all(note.exists() and note.read_text() for note in notes))
+    parent.kill()
+    parent.wait()
+    wait_for(lambda: not any(Path(f"/proc/{note.read_text()}").exists() for note in notes))
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
 
 
 def test_the_command_prints_how_fast_each_was_and_all_were(tmp_path: Path, capsys):

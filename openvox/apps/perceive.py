@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Literal
 
 from openvox.apps.cores import cores
-from openvox.core.errors import InputError
+from openvox.core.errors import InputError, OutputError
 from openvox.core.parameters import Value, from_assignments, updated
 from openvox.core.types import Frame
+from openvox.formats.atomic import only_writer
 from openvox.formats.detections import DetectionFile
 from openvox.formats.perception import (
     SUFFIX,
@@ -95,6 +96,7 @@ def perceive(
     of_stages = {name: value for name, value in changes.items() if name.partition(".")[0] in STAGES}
     chosen = assigned(_chosen(frontend, models, detections), of_stages)
     parameters = _parameters(chosen, {name: value for name, value in changes.items() if name not in of_stages})
+    _check_recording(recording)
     info = recording_info(recording)
     target = out or recording.with_name(recording.stem + SUFFIX)
     _check_target(target, recording, detections, models)
@@ -110,11 +112,14 @@ def perceive(
         found = held(target, info, pipeline, selection)
         if found.others:
             raise _would_be_lost(target, found.others)
+        if found.complete and not found.asked:
+            raise _nothing_seen(info, file)
         if found.complete:
             notes.append(f"{target.name} holds all of that already; nothing was done")
             lacking = [n for n in sorted(file.frames) if selection.has(n) and n not in found.asked] if file else []
             interrupted(target, forget=True)
         else:
+            stack.enter_context(only_writer(target))
             work = _Work(info, pipeline, file, selection, found.beside, jobs, progress)
             computed, lacking = _write(target, work, notes)
     written = perception_info(target)
@@ -229,10 +234,28 @@ def _parameters(chosen: Chosen, changes: Mapping[str, Value]) -> PerceptionParam
     return parameters
 
 
+def _check_recording(recording: Path) -> None:
+    if recording.is_dir():
+        raise InputError(f"{recording} is a folder; make a recording of it first: openvox ingest {recording}")
+    if recording.name.endswith(SUFFIX) and recording.is_file():
+        raise InputError(
+            f"{recording} is what was perceived in a recording; give the recording, "
+            f"{recording.name.removesuffix(SUFFIX)}.mcap"
+        )
+
+
 def _check_target(target: Path, *inputs: Path | None) -> None:
+    """Only what perceive made is replaced, or what has the name of it."""
     for path in inputs:
         if path is not None and path.exists() and target.exists() and target.samefile(path):
             raise InputError(f"{target} is an input; name another file to write with --out")
+    if target.is_file() and target.stat().st_size and not target.name.endswith(SUFFIX):
+        try:
+            perception_info(target)
+        except InputError:
+            raise OutputError(
+                f"{target} exists and is no perception file; name another file to write with --out, or remove it first"
+            ) from None
 
 
 def _pipeline(

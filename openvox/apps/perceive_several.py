@@ -49,27 +49,34 @@ def perceive_several(
     if dask is not None:
         whole = {name: value.resolve() if isinstance(value, Path) else value for name, value in options.items()}
         with cluster(dask) as found:
-            return _collected(found.each(partial(_one, options=whole), given), len(given), progress, began)
+            return _collected(found.each(partial(_one, options=whole), given), recordings, progress, began)
     jobs = cores() if jobs is None else jobs
     if jobs < 1:
         raise InputError(f"--jobs is {jobs}; expected 1 or more")
     each = max(1, jobs // len(recordings))
     work = partial(_one, options={**options, "jobs": each})
-    return _collected(in_processes(work, list(recordings), jobs), len(recordings), progress, began)
+    return _collected(in_processes(work, list(recordings), jobs), recordings, progress, began)
 
 
 def _collected(
-    outcomes: Iterable[Outcome[PerceiveResult]], total: int, progress: Progress, began: float
+    outcomes: Iterable[Outcome[PerceiveResult]], recordings: Sequence[Path], progress: Progress, began: float
 ) -> SeveralResult:
     """What became of each, in the order of the recordings."""
+    total = len(recordings)
     results: list[PerceiveResult | str] = [""] * total
     for done, outcome in enumerate(outcomes, 1):
-        results[outcome.place] = outcome.result if outcome.result is not None else outcome.error or ""
+        results[outcome.place] = outcome.result if outcome.result is not None else _told(outcome, recordings)
         if progress is not None:
             progress(done, total)
     seconds = time.perf_counter() - began
     frames = sum(result.computed["enc"] for result in results if isinstance(result, PerceiveResult))
     return SeveralResult(results, seconds, frames / seconds)
+
+
+def _told(outcome: Outcome[PerceiveResult], recordings: Sequence[Path]) -> str:
+    """The sentence of one that failed, with its recording: that of a process that died names none."""
+    error, recording = outcome.error or "", recordings[outcome.place]
+    return error if recording.name.removesuffix(".mcap") in error else f"{recording}: {error}"
 
 
 def _one(recording: Path, options: Mapping[str, Any]) -> PerceiveResult:

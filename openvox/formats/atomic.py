@@ -47,6 +47,40 @@ def partial_file(path: Path, *, keep: Callable[[BaseException], bool] = never) -
         raise
 
 
+@contextmanager
+def only_writer(path: Path) -> Iterator[None]:
+    """Keeps other processes that ask for it from writing `path` meanwhile; one that was killed no longer does.
+
+    Where the system or its disk knows no locks nothing is kept. Raises OutputError if another one is at it."""
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        file = lock.open("ab")
+    except OSError as error:
+        raise OutputError(
+            f"{path} could not be written ({error.strerror or error}): check the folder and its permissions"
+        ) from error
+    with file:
+        if not _locked(file.fileno()):
+            raise OutputError(f"{path} is being written by another openvox; wait until it is done, or stop it")
+        try:
+            yield
+        finally:
+            _remove(lock)
+
+
+def _locked(descriptor: int) -> bool:
+    """False if another process holds the lock of that file."""
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except (ImportError, OSError):  # another system, or a disk without locks
+        return True
+    return True
+
+
 def check_not_input(out: Path, *inputs: Path | None) -> None:
     """Raises OutputError if `out` is one of the files that it is made from."""
     if any(path is not None and path.exists() and out.exists() and out.samefile(path) for path in inputs):

@@ -22,6 +22,8 @@ SAME, LARGE = 0.5, 0.02
 """IoU of a thing in two frames, and the share of the picture from which on a mask is large enough to be followed."""
 REWORDED, CHANGED_SHARE, FOREIGN_SHARE = 0.6, 0.75, 0.35
 """Cosine below which a caption means something else; captions that differ, or mean something else. Good: 0.34, 0.13."""
+FULL, FULL_SHARE = 0.98, 0.5
+"""Of its box that a mask fills, and masks that do so: hardly any thing is a rectangle in the picture. Good: 0.002."""
 FEWEST = 10
 """Masks from which on a share says something."""
 
@@ -35,6 +37,9 @@ class Counts:
     covering: list[int] = field(default_factory=list)
     over: list[tuple[float, int, int]] = field(default_factory=list)
     """Share of a mask's pixels that are far from its depth; frame and mask. Only where depth is known."""
+    masks: int = 0
+    full: list[tuple[int, int]] = field(default_factory=list)
+    """Frame and mask, where a mask fills its box."""
     same: int = 0
     changed: int = 0
     foreign: int = 0
@@ -49,6 +54,8 @@ def count(frames: Iterable[FrameMasks], depth_of: Callable[[int], Depth | None])
     before: FrameMasks | None = None
     for found in frames:
         counts.frames += 1
+        counts.masks += len(found.masks)
+        counts.full += [(found.index, m) for m, mask in enumerate(found.masks) if _is_box(mask)]
         small = {m: _small(mask, found.size) for m, mask in enumerate(found.masks)}
         if not found.masks:
             counts.empty.append(found.index)
@@ -67,6 +74,11 @@ def _small(mask: Mask, size: tuple[int, int]) -> Bitmap:
     """Every few pixels of the mask."""
     step = max(1, size[1] // 160)
     return mask.bitmap(*size)[::step, ::step]
+
+
+def _is_box(mask: Mask) -> bool:
+    x0, y0, x1, y1 = mask.box
+    return 0 < FULL * (x1 - x0) * (y1 - y0) <= mask.area
 
 
 def _over(found: FrameMasks, small: Mapping[int, Bitmap], depth: Depth) -> Iterator[tuple[float, int, int]]:
@@ -138,6 +150,15 @@ def examine_masks(counts: Counts) -> Iterator[Finding]:
             "masks spill over onto what is behind, boxes stand in for masks, or colour does not lie on depth",
             "use a front end that cuts masks out (openvox perceive with --frontend offline); see openvox doctor on the "
             "recording for registration",
+        )
+    if counts.masks >= FEWEST and len(counts.full) > FULL_SHARE * counts.masks:
+        yield Finding(
+            "masks",
+            f"{len(counts.full)} of {counts.masks} masks fill their boxes; the first is mask {counts.full[0][1]} of "
+            f"frame {counts.full[0][0]}.",
+            f"{len(counts.full) / counts.masks:.0%} of the masks fill at least {FULL:.0%} of their box",
+            "boxes stand in for masks, so that a map takes what is behind for the thing",
+            "add a segmenter ([segcap] of docs/models.md), or leave it out, so that regions from depth take your boxes",
         )
     if counts.same >= FEWEST and (
         counts.changed > CHANGED_SHARE * counts.same or counts.foreign > FOREIGN_SHARE * counts.same

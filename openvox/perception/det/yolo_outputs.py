@@ -4,14 +4,15 @@
 |---|---|
 | `scores` [1,n,c], `boxes` [1,n,4] | YOLO-World's own export without NMS, the NanoDet here |
 | `num_dets`, `boxes` [1,n,4], `scores` [1,n], `labels` [1,n], or without the 1 | YOLO-World's own with NMS |
-| one, [1,4+c,n], centres and sizes | Ultralytics: YOLOv8 and later, YOLOv8-World, YOLOE |
+| one, [1,4+c,n], centres and sizes | Ultralytics: YOLOv8 and later, YOLOv8-World |
+| one, [1,4+c+k,n], and another, [1,k,h,w], for masks that are not used | their segmenters: YOLOv8-seg, YOLOE |
 | one, [1,n,6], corners, score, class | the same with `nms=True`, YOLOv10 |
 | one, [1,n,5+c], centres, sizes, objectness | YOLOv5, YOLOv7 |
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def decoded(model: Model, outputs: Outputs, size: tuple[int, int], words: int) -
     elif {"boxes", "scores"} <= outputs.keys():
         found = _named(model, outputs, words)
     else:
-        found = _single(model, np.asarray(next(iter(outputs.values()))[0], np.float32), size, words)
+        found = _single(model, _rows(model, list(outputs.values())), size, words)
     corners, scores, kinds, alone = found
     if not (np.isfinite(corners).all() and np.isfinite(scores).all()):
         raise InputError(f"{model.file}: boxes or scores are not finite numbers; export it again")
@@ -70,6 +71,14 @@ def _named(model: Model, outputs: Outputs, words: int) -> Found:
     return boxes, *_best(model, scores, words), False
 
 
+def _rows(model: Model, outputs: Sequence[NDArray[Any]]) -> Floats:
+    """The rows of boxes, without the last k, which a segmenter's second output, [1,k,h,w], would make masks of."""
+    rows = [np.asarray(output[0], np.float32) for output in outputs if output.ndim == 3]
+    if len(rows) != 1:
+        raise model.refused(EXPECTED)
+    return rows[0][: len(rows[0]) - sum(output.shape[1] for output in outputs if output.ndim == 4)]
+
+
 def _single(model: Model, rows: Floats, size: tuple[int, int], words: int) -> Found:
     cells = sum((size[0] // step) * (size[1] // step) for step in (8, 16, 32))
     objectness = rows.shape[1] == 5 + words
@@ -80,7 +89,8 @@ def _single(model: Model, rows: Floats, size: tuple[int, int], words: int) -> Fo
     if objectness and len(rows) != cells:
         return _corners(rows[:, :4]), *_best(model, rows[:, 5:] * rows[:, 4:5], words), False
     raise model.refused(
-        f"{EXPECTED}; the output came out as [1,{rows.shape[0]},{rows.shape[1]}], there are {words} words"
+        f"{EXPECTED}; the output came out as [1,{rows.shape[0]},{rows.shape[1]}], "
+        f"as [1,4+c,n] that is for {max(0, len(rows) - 4)} words, and there are {words} words"
         + (", and a row a cell (YOLOX) is not decoded here" if objectness else "")
     )
 
