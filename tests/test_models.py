@@ -12,7 +12,7 @@ import pytest
 from test_perceive import LARGE, count_calls, record
 from worlds import tiny_frames
 
-from openvox.apps.perceive import perceive
+from openvox.apps.perceive import _fruitless, perceive
 from openvox.apps.query import query
 from openvox.apps.replay import replay
 from openvox.core.errors import InputError
@@ -240,6 +240,13 @@ def test_set_goes_over_what_the_file_says_and_is_the_same_as_saying_it_there(rec
     assert not perceive(recording, models=models, assignments=["det.score=0.6"]).untouched
 
 
+def test_a_detector_or_segmenter_that_does_nothing_is_told(recording, models):
+    told = perceive(recording, models=models, assignments=["det.score=1"]).notes
+    assert [note for note in told if "yolo-world found no box in any frame" in note]
+    assert not [note for note in perceive(recording, models=models).notes if "box" in note]
+    assert [note.split(";")[0] for note in _fruitless("yolo", 5, 0)] == ["none of 5 boxes became a mask"]
+
+
 def test_paths_of_set_count_from_the_current_folder(recording, models, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.txt").write_text("mug\nstool\n")
@@ -289,6 +296,11 @@ def test_a_map_is_asked_with_the_encoder_of_the_same_file(recording, models, tmp
         InputError, match=r"the map's features are those of mine, .*my.toml names minilm; give the file"
     ):
         query(made, ["a cup"], models=written(models.parent, ""))
+    tokens = models.parent / "mine" / "tokenizer.json"
+    tokens.write_text(tokens.read_text() + " ")
+    written(models.parent, ALL[ALL.index("[enc]") :])
+    with pytest.raises(InputError, match=r"made by other files of a model that is called mine too; ask with the TOML"):
+        query(made, ["a cup"], models=models)
 
 
 def said(capsys, *words: Any) -> str:

@@ -175,6 +175,7 @@ def _write(target: Path, work: _Work, notes: list[str]) -> tuple[dict[str, int],
     lacking = {number for number in file.frames if work.selection.has(number)} if file else set[int]()
     computed, total = dict.fromkeys(ROLES, 0), len(work.beside) + _total(work.info, work.selection)
     left = interrupted(target)
+    boxes = masks = 0
     with ExitStack() as stack:
         frames = stack.enter_context(closing(work.frames()))
         earlier = _earlier(target, left, notes)
@@ -192,6 +193,7 @@ def _write(target: Path, work: _Work, notes: list[str]) -> tuple[dict[str, int],
             lacking.discard(frame.index)
             if found is not None:
                 writer.add(found[0])
+                boxes, masks = boxes + len(found[0].boxes), masks + len(found[0].masks)
                 for role in found[1]:
                     computed[role] += 1
             if work.progress is not None:
@@ -200,9 +202,19 @@ def _write(target: Path, work: _Work, notes: list[str]) -> tuple[dict[str, int],
             raise _nothing_seen(work.info, file)
     if left is not None:
         left.unlink(missing_ok=True)
+    if file is None and pipeline.det.name != "none":
+        notes.extend(_fruitless(pipeline.det.name, boxes, masks))
     if work.beside:
         notes.append(f"{len(work.beside)} frames that were not asked for stay in {target.name} as they were")
     return computed, sorted(lacking)
+
+
+def _fruitless(det: str, boxes: int, masks: int) -> Iterator[str]:
+    """What a detector or a segmenter that does nothing looks like."""
+    if not boxes:
+        yield f"{det} found no box in any frame; is its score threshold too high, are its words those of the scene?"
+    elif not masks:
+        yield f"none of {boxes} boxes became a mask; do the files of the segmenter belong together?"
 
 
 def _chosen(frontend: Frontend | None, models: Path | None, detections: Path | None) -> Chosen:

@@ -281,6 +281,7 @@ def map_meta(
     return {
         **about,
         "encoder": found.encoder,
+        "encoder_model": next((stage.get("model_digest") for stage in found.stages if stage.get("role") == "enc"), ""),
         "frames": frames,
         "digests": {**digests, "perception": found.digest},
         "recording": sources["recording"][0],

@@ -15,11 +15,18 @@ if TYPE_CHECKING:
 def encoder_of(result: InstanceMap, models: Path | None = None) -> Texts:
     """The encoder that made the map's features: one of openvox, or that of a TOML file of models.
 
-    Raises InputError: the map has none, openvox does not, or the file names another."""
+    Raises InputError: the map has none, openvox does not, or the file names another; or one of that name with other
+    files, whose vectors cannot be compared."""
     name = result.meta.get("encoder")
     if not isinstance(name, str) or not name:
         raise InputError("the map has no embeddings: perceive the recording with an encoder, and replay it")
     found = _encoder(name, models)
+    made_by = result.meta.get("encoder_model")  # maps of openvox before 0.6 do not say
+    if made_by and made_by != found.model_digest:
+        raise InputError(
+            f"the map's features were made by other files of a model that is called {name} too; ask with the TOML file "
+            "that openvox perceive was given (--models), or perceive and replay the recording again"
+        )
     dimensions = result.feature.shape[1]
     if len(result.instance_id) and found.dimensions != dimensions:
         raise InputError(
