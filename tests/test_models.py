@@ -242,7 +242,7 @@ def test_set_goes_over_what_the_file_says_and_is_the_same_as_saying_it_there(rec
 
 def test_a_detector_or_segmenter_that_does_nothing_is_told(recording, models):
     told = perceive(recording, models=models, assignments=["det.score=1"]).notes
-    assert [note for note in told if "yolo-world found no box in any frame" in note]
+    assert [note for note in told if "yolo found no box in any frame" in note]
     assert not [note for note in perceive(recording, models=models).notes if "box" in note]
     assert [note.split(";")[0] for note in _fruitless("yolo", 5, 0)] == ["none of 5 boxes became a mask"]
 
