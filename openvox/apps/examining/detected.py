@@ -126,8 +126,8 @@ def examine_masks(counts: Counts) -> Iterator[Finding]:
             f"{len(counts.empty)} of {n} frames have no mask, the first is frame {counts.empty[0]}.",
             f"{len(counts.empty) / n:.0%} of the frames",
             "the detector's threshold is too high, its words do not fit the scene, or pictures are black or blurred",
-            "lower the front end's score threshold (openvox perceive with --set offline.box_score=0.2), or look at the "
-            "pictures: openvox doctor on the recording",
+            "lower the detector's threshold (openvox perceive with --set offline.box_score=0.2; with --models "
+            "det.score; in a file of --detections its own), or look at the pictures: openvox doctor on the recording",
         )
     if len(counts.covering) > MOST_SHARE * n:
         yield Finding(
