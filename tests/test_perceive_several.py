@@ -53,13 +53,13 @@ def test_a_process_that_died_is_told_with_its_recording(tmp_path: Path, monkeypa
     paths = [record(tmp_path / name, tiny_frames(2)) for name in ("a.mcap", "b.mcap")]
 
     def died(function: object, tasks: list[Path], jobs: int) -> Iterator[Outcome[PerceiveResult]]:
-        yield Outcome(1, None, death(-9))
-        yield Outcome(0, None, f"{tasks[0]} is damaged")
+        yield Outcome(1, None, f"{tasks[1]} is damaged")
+        yield Outcome(0, None, death(-9))
 
     monkeypatch.setattr("openvox.apps.perceive_several.in_processes", died)
     assert perceive_several(paths).results == [
-        f"{paths[0]} is damaged",
-        f"{paths[1]}: its process died (signal 9); if the memory was short, do fewer at a time",
+        f"{paths[0]}: its process died (signal 9); if the memory was short, do fewer at a time",
+        f"{paths[1]} is damaged",
     ]
 
 

@@ -76,7 +76,7 @@ def _collected(
 def _told(outcome: Outcome[PerceiveResult], recordings: Sequence[Path]) -> str:
     """The sentence of one that failed, with its recording: that of a process that died names none."""
     error, recording = outcome.error or "", recordings[outcome.place]
-    return error if recording.name.removesuffix(".mcap") in error else f"{recording}: {error}"
+    return error if f"{recording.stem}." in error else f"{recording}: {error}"
 
 
 def _one(recording: Path, options: Mapping[str, Any]) -> PerceiveResult:
