@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from openvox.core.types import Pose
 from openvox.perception.parameters import GeometryParameters
-from openvox.perception.planes import Room, in_world, turned
+from openvox.perception.planes import Room, Vector, in_world, turned
 from openvox.perception.segments import Labels, tolerance
 from openvox.perception.surface import Flags, Floats, Surface
 
@@ -122,7 +122,7 @@ def plan(points: Points, up: NDArray[np.float64]) -> tuple[NDArray[np.float64], 
     return along(points, east), along(points, np.cross(up, east))
 
 
-def along(vectors: Points, axis: NDArray[np.float64]) -> NDArray[np.float64]:
+def along(vectors: Points, axis: NDArray[np.float64] | Vector) -> NDArray[np.float64]:
     """(n,) components of (3, n) vectors along an axis, in fixed order."""
     result: NDArray[np.float64] = vectors[0] * axis[0] + vectors[1] * axis[1] + vectors[2] * axis[2]
     return result

@@ -39,11 +39,10 @@ def trim(bodies: Sequence[Body], labels: Labels, room: Room, least: int) -> list
 
 def _is_strip(body: Body, wall: Plane) -> bool:
     """Whether a body keeps to a wall and is nowhere as wide as a third of its length."""
-    normal = np.array(wall.normal)
-    low, high = np.percentile(along(body.points, normal) - wall.offset, (OUTLIERS, 100 - OUTLIERS)).tolist()
+    low, high = np.percentile(along(body.points, wall.normal) - wall.offset, (OUTLIERS, 100 - OUTLIERS)).tolist()
     if low < -RELIEF or low > TOUCH or high > RELIEF:
         return False
-    width, length = _width_and_length(np.stack([along(body.points, np.cross(normal, body.up)), body.height], 1))
+    width, length = _width_and_length(np.stack([along(body.points, np.cross(wall.normal, body.up)), body.height], 1))
     return width < NARROW and length > LONG * width
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from openvox.core.phrases import COLORS
 from openvox.core.types import Pose
+from openvox.perception.bodies import along
 from openvox.perception.planes import Room, in_world, turned
 from openvox.perception.segments import Labels
 from openvox.perception.surface import Flags, Surface, dot, pair
@@ -96,7 +97,7 @@ def _form(points: NDArray[np.float64], normal: NDArray[np.float64], room: Room, 
     low, high = np.percentile(points, (2, 98), axis=1)
     largest = float((high - low).max())
     size = "small" if largest < 0.3 else "large" if largest > 1.2 else ""
-    upward = abs(_along(normal, room.up))
+    upward = abs(along(normal, room.up))
     if float(np.sqrt((normal * normal).sum())) < 0.93:
         thing = "object"
     else:
@@ -106,13 +107,13 @@ def _form(points: NDArray[np.float64], normal: NDArray[np.float64], room: Room, 
 
 def _place(points: NDArray[np.float64], thing: str, room: Room, supported: bool) -> str:
     floor = room.floor
-    bottom = None if floor is None else float(np.percentile(_along(points, room.up), 5)) - floor.offset
+    bottom = None if floor is None else float(np.percentile(along(points, room.up), 5)) - floor.offset
     band = None if bottom is None else 0 if bottom < 0.15 else 1 if bottom < 0.55 else 2 if bottom < 1.1 else 3
     if band is not None and thing == "horizontal surface":
         return ("on the floor", "at knee height", "at table height", "high up")[band]
     if band is not None and (band == 0 or supported):
         return ("on the floor", "on a low surface", "on a table-high surface", "on a high surface")[band]
-    if any(float(np.median(_along(points, wall.normal))) - wall.offset < 0.12 for wall in room.walls):
+    if any(float(np.median(along(points, wall.normal))) - wall.offset < 0.12 for wall in room.walls):
         return "on the wall"
     return ""
 
@@ -128,9 +129,4 @@ def _supported(labels: Labels, surface: Surface, room: Room, world_from_depth: P
     held = edge & pair(faces_up, "y", SUPPORT_GAP)[1] & (dot(gap, gap) < 0.08**2)
     edges = np.bincount(above[edge], minlength=count)
     result: Flags = np.bincount(above[held], minlength=count) > 0.3 * np.maximum(edges, 1)
-    return result
-
-
-def _along(vectors: NDArray[np.float64], direction: tuple[float, float, float]) -> NDArray[np.float64]:
-    result: NDArray[np.float64] = vectors[0] * direction[0] + vectors[1] * direction[1] + vectors[2] * direction[2]
     return result
